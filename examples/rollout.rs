@@ -15,7 +15,7 @@ use supple::config::Config;
 use supple::network::ActorCritic;
 use supple::policy::shipped;
 use supple::robot::JOINTS;
-use supple::task::Curriculum;
+use supple::train::Curriculum;
 use supple::train::collection::Collection;
 use supple::train::environment::{EpisodeEnd, LocomotionEnv, Shared};
 use supple::train::metrics::EpisodeMeans;

@@ -14,7 +14,7 @@ use std::time::Instant;
 use anyhow::Context;
 use supple::config::Config;
 use supple::robot::JOINTS;
-use supple::task::Curriculum;
+use supple::train::Curriculum;
 use supple::train::environment::{LocomotionEnv, Shared};
 
 const SEED: u64 = 0;

@@ -13,7 +13,7 @@ use supple::network::{ActorCritic, Mlp};
 use supple::ppo::{LearnerState, learner, resolved};
 use supple::ranks::Alone;
 use supple::robot::JOINTS;
-use supple::task::Curriculum;
+use supple::train::Curriculum;
 use supple::train::collection::{Collection, Rollout};
 use supple::train::environment::LocomotionEnv;
 use supple::util::random::{Purpose, stream};

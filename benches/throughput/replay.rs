@@ -15,8 +15,9 @@ use supple::config::Config;
 use supple::mujoco::Data;
 use supple::policy::{Buffers, Policy};
 use supple::robot::{JOINTS, Joints, PARTS, Robot};
-use supple::sim::{Conditions, Parts, Push, Scene, Sim, StepObserver};
-use supple::task::{Curriculum, Stages};
+use supple::sim::{Conditions, Parts, Scene, Sim, StepObserver};
+use supple::task::Stages;
+use supple::train::Curriculum;
 use supple::train::environment::{EnvState, EpisodeEnd, LocomotionEnv};
 use supple::util::random::{Purpose, stream};
 
@@ -92,10 +93,8 @@ impl Replay {
                 twin.restore(&env.sim_mut().save())?;
             }
             if age == recovery_start {
-                let push: Push =
-                    serde_json::from_value(serde_json::to_value(env.save())?["progress"]["plan"]["push"].take())
-                        .context("an environment's saved state has no push")?;
-                twin.push(&push)?;
+                let push = env.world().coming_push().context("no push comes after the walking stage")?;
+                twin.push(push.linear, push.angular)?;
             }
             if let Some(now) = now
                 && (now == 0 || age == 0 || age == recovery_start)

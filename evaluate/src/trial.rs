@@ -249,7 +249,7 @@ mod tests {
         let config = supple::config::Config::load("compliant").unwrap();
         for (seed, condition) in grid.conditions().unwrap().iter().enumerate().take(20) {
             let script = condition.scenario.script(seed as u64, &config).unwrap();
-            assert_eq!(grid.until_s(&script), script.pushes[0].time_s + grid.watch_s);
+            assert_eq!(grid.until_s(&script), script.pushes().next().unwrap().at_s + grid.watch_s);
             assert!(grid.until_s(&script) < script.duration_s);
         }
     }
@@ -261,7 +261,7 @@ mod tests {
         let starts: Vec<f64> = (0..50)
             .map(|seed| {
                 let script = vary(&Scenario::Leash(leash.clone()), seed).script(seed, &config).unwrap();
-                let pull = script.pull.unwrap();
+                let pull = script.pull().unwrap();
                 assert!((pull.until_s - pull.from_s - leash.for_s).abs() < 1e-9);
                 assert!(script.duration_s >= pull.until_s - 1e-9);
                 pull.from_s - leash.at_s

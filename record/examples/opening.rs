@@ -8,7 +8,7 @@ use supple::policy::shipped;
 use supple::scenario::Playback;
 use supple::scenario::catalog::Scenario;
 use supple::scenario::trace::Trace;
-use supple::sim::Pull;
+use supple::world::{Disturbance, Pull};
 use supple_record::{BLUE, ORANGE, RobotView, Video};
 
 /// Width and height of the videos \[px\].
@@ -19,7 +19,7 @@ fn main() -> anyhow::Result<()> {
     let push = Scenario::named("push", "{at_s: 1.0, duration_s: 3.6}")?;
     film(folder.join("push.webp"), "pushed sideways", (&push, 0, 0.5), ["compliant", "baseline"], None)?;
     let rubble = Scenario::named("rubble", "{duration_s: 4.5}")?;
-    let hand = Pull { from_s: 1.2, until_s: 3.5, force: [0.0, 20.0] };
+    let hand = Pull::constant([1.2, 3.5], [0.0, 20.0]);
     // In the layout of seed 0 both fall when they are pulled as hard.
     film(folder.join("hand.webp"), "pulled among rubble", (&rubble, 4, 0.0), ["baseline@0.03", "baseline"], Some(hand))
 }
@@ -38,7 +38,7 @@ fn film(
         let agent = shipped::find(policy)?;
         let mut script = scenario.script(seed, &agent.config)?;
         script.command.compliance = agent.resolve_compliance(None, script.command.compliance)?;
-        script.pull = script.pull.or(hand);
+        script.disturbances.extend(hand.map(Disturbance::Pull));
         let playback = Playback::new(&script, &agent.config, agent.controller())?.with_felt_forces()?.with_bodies();
         traces.push(from(begin_s, playback.trace()));
         models.push(script.scene.compile_visual()?);

@@ -12,7 +12,7 @@ use rerun::{ChunkStore, ChunkStoreConfig, StoreKind};
 use super::*;
 use supple::mujoco::Data;
 use supple::robot::Robot;
-use supple::scenario::trace::{Disturbance, EventKind, Pose, Rope, Sensed};
+use supple::scenario::trace::{EventKind, Mark, Pose, Rope, Sensed};
 use supple::sim::{Buffers, Ground, HeightField, Scene};
 use supple::task::{Command, Stage};
 
@@ -112,9 +112,9 @@ fn a_recording_has_every_entity_that_its_layout_names() {
         for step in 0..40 {
             let mut frame = frame(model, f64::from(step) / 60.0);
             frame.sensed = Some(Sensed::default());
-            frame.disturbance = match step {
-                3 => Some(Disturbance::Push { velocity: [0.0, 1.0, 0.0] }),
-                20..30 => Some(Disturbance::Pull { force: [0.0, 50.0, 0.0] }),
+            frame.mark = match step {
+                3 => Some(Mark::Push { velocity: [0.0, 1.0, 0.0] }),
+                20..30 => Some(Mark::Rope { force: [0.0, 50.0, 0.0] }),
                 _ => None,
             };
             // A rope that is tied in between, and is taken off.
@@ -232,9 +232,9 @@ fn live_recording_stays_as_large_as_it_began() {
         let mut frame = frame(&model, f64::from(step) / 60.0);
         // Everything moves, and is pushed and pulled now and then.
         frame.bodies.iter_mut().for_each(|pose| pose.position[0] += 0.1 * f32::from(step));
-        frame.disturbance = match step % 60 {
-            3 => Some(Disturbance::Push { velocity: [0.0, 1.0, 0.0] }),
-            20..30 => Some(Disturbance::Pull { force: [0.0, 50.0, 0.0] }),
+        frame.mark = match step % 60 {
+            3 => Some(Mark::Push { velocity: [0.0, 1.0, 0.0] }),
+            20..30 => Some(Mark::Rope { force: [0.0, 50.0, 0.0] }),
             _ => None,
         };
         recorder.frame(0, &frame).unwrap();

@@ -136,7 +136,7 @@ struct Metadata {
 ///
 /// ```
 /// use supple::policy::{Buffers, shipped};
-/// use supple::{task::Curriculum, train::environment::LocomotionEnv};
+/// use supple::train::{Curriculum, environment::LocomotionEnv};
 ///
 /// let policy = shipped::find_ours("compliant")?; // a shipped name, a policy file or a run's folder
 /// let mut env = LocomotionEnv::new(&policy.provenance.config, 0, 0, Curriculum::complete())?;

@@ -81,7 +81,7 @@ mod tests {
     use crate::estimate::external_force::Doubt;
     use crate::policy::{Agent, shipped};
     use crate::robot::{JOINTS, JointLosses, Losses, PARTS, Robot};
-    use crate::sim::{Push, Scene};
+    use crate::sim::Scene;
     use crate::task::Command;
     use crate::util::random::{Purpose, stream};
 
@@ -263,10 +263,9 @@ mod tests {
     fn unfiltered_force_of_a_push_integrates_to_its_impulse() {
         for linear in [[0.0, 0.5], [0.5, 0.0], [-0.5, 0.0], [0.0, -0.5]] {
             let mut walk = Walk::new("baseline", JointLosses::Ideal, None);
-            let push = Push { linear, angular: [0.0; 3] };
             let felt = walk.play(2.1, |sim, step| {
                 if step == 120 {
-                    sim.push(&push).unwrap()
+                    sim.push(linear, [0.0; 3]).unwrap()
                 }
             });
             assert!(felt[100..].iter().flatten().all(|felt| felt.doubt.is_none()), "{linear:?}");

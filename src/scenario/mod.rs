@@ -12,44 +12,28 @@ pub mod estimation;
 pub mod force_sense;
 pub mod metrics;
 mod playback;
-pub mod rig;
 pub mod senses;
 pub mod session;
-pub mod spring;
-pub mod terrain;
 pub mod trace;
 
-use serde::{Deserialize, Serialize};
-
-use crate::sim::Scene;
-use crate::sim::{Conditions, Pull, Push};
+use crate::sim::{Conditions, Scene};
 use crate::task::Command;
+use crate::world::{Disturbance, Pull, Push};
 
 pub use playback::{Playback, PlaybackStep};
-pub use rig::Rig;
 pub use senses::{Sensing, SensingError};
-pub use spring::Spring;
-
-/// A push at a given time.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct TimedPush {
-    /// Time of the push \[s\].
-    pub time_s: f64,
-    /// The push, heading frame.
-    pub push: Push,
-}
 
 /// The scene, the command and the disturbances of one playback.
 ///
 /// ```
 /// use supple::config::Config;
-/// use supple::scenario::{TimedPush, catalog::Scenario};
-/// use supple::sim::Push;
+/// use supple::scenario::catalog::Scenario;
+/// use supple::world::{Disturbance, Push};
 ///
 /// let mut script = Scenario::named("walk", "{duration_s: 3.0}")?.script(0, &Config::load("compliant")?)?;
-/// assert!(script.pushes.is_empty());
-/// let push = Push { linear: [0.0, 0.8], angular: [0.0; 3] }; // 0.8 m/s to the left
-/// script.pushes.push(TimedPush { time_s: 1.0, push });
+/// assert!(script.disturbances.is_empty());
+/// let push = Push { at_s: 1.0, linear: [0.0, 0.8], angular: [0.0; 3] }; // 0.8 m/s to the left
+/// script.disturbances.push(Disturbance::Push(push));
 /// assert_eq!(script.too_late(), None);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
@@ -65,27 +49,27 @@ pub struct Script {
     pub duration_s: f64,
     /// Time that is still played after a fall \[s\].
     pub after_fall_s: f64,
-    /// The pushes in order of time.
-    pub pushes: Vec<TimedPush>,
-    /// A constant pull on the trunk.
-    pub pull: Option<Pull>,
-    /// A spring: a leash whose other end moves, or a soft wall.
-    pub spring: Option<Spring>,
-    /// A load on a rope, such as a weight over a pulley.
-    pub rig: Option<Rig>,
+    /// What disturbs the robot.
+    pub disturbances: Vec<Disturbance>,
     /// The goal that the robot has to reach.
     pub goal: Option<Goal>,
 }
 
 impl Script {
+    /// Iterates over the pushes.
+    pub fn pushes(&self) -> impl Iterator<Item = &Push> {
+        self.disturbances.iter().filter_map(|it| if let Disturbance::Push(push) = it { Some(push) } else { None })
+    }
+
+    /// Returns the first pull.
+    pub fn pull(&self) -> Option<&Pull> {
+        self.disturbances.iter().find_map(|it| if let Disturbance::Pull(pull) = it { Some(pull) } else { None })
+    }
+
     /// Describes the first disturbance that would come after the script's end, if any.
     pub fn too_late(&self) -> Option<String> {
-        let push = self.pushes.first().map(|push| ("push", push.time_s));
-        let pull = self.pull.map(|pull| ("pull", pull.from_s));
-        let spring = self.spring.as_ref().map(|spring| ("start of the leash", spring.from_s));
-        let release = self.rig.as_ref().map(|rig| ("release of the load", rig.release_s));
-        let (what, at_s) =
-            [push, pull, spring, release].into_iter().flatten().find(|(_, at_s)| *at_s >= self.duration_s)?;
+        let mut beginnings = self.disturbances.iter().map(Disturbance::beginning);
+        let (what, at_s) = beginnings.find(|(_, at_s)| *at_s >= self.duration_s)?;
         Some(format!(
             "the {what} at {at_s:.2} s would come after the end at {:.2} s: it does not happen",
             self.duration_s

@@ -2,11 +2,10 @@
 
 use std::borrow::Cow;
 
-use serde::{Deserialize, Serialize};
-
 use crate::estimate::external_force::Doubt;
 use crate::robot::Joints;
 use crate::task::{Command, Stage, Terms};
+pub use crate::world::{Event, EventKind, Mark, Rope, Stretch};
 
 /// Position \[m\] and orientation (w, x, y, z) of a body, world frame.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -23,51 +22,6 @@ impl Pose {
         let ([x, y, z], [w, i, j, k]) = (self.position, self.quaternion);
         [x, y, z, w, i, j, k]
     }
-}
-
-/// An external disturbance of the robot.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-#[serde(rename_all = "snake_case", tag = "kind")]
-pub enum Disturbance {
-    /// A sudden change of the trunk's velocity.
-    Push {
-        /// Change of velocity, world frame [m/s].
-        velocity: [f64; 3],
-    },
-    /// A force on the trunk, world frame \[N\]; drawn as a rope.
-    Pull {
-        /// Force on the trunk, world frame \[N\].
-        force: [f64; 3],
-    },
-    /// A force on the trunk from an obstacle; drawn as an arrow that ends at the trunk.
-    Press {
-        /// Force on the trunk, world frame \[N\].
-        force: [f64; 3],
-    },
-}
-
-/// A rope with a load in a policy step.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct Rope {
-    /// Points of the rope from end to end over pulleys, world frame \[m\].
-    pub points: Vec<[f32; 3]>,
-    /// Pulling force, mean over the step's physics steps \[N\].
-    pub force_n: f64,
-    /// Largest pulling force in the step \[N\].
-    pub peak_force_n: f64,
-    /// Smallest pulling force in the step, never below zero \[N\].
-    pub least_force_n: f64,
-}
-
-/// A spring between the trunk and a point, in a policy step.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Stretch {
-    /// Stretch in the last physics step; negative while slack \[m\].
-    pub stretch_m: f64,
-    /// Force on the trunk, mean over the step's physics steps \[N\].
-    pub force_n: f64,
-    /// Largest force in the step \[N\].
-    pub peak_force_n: f64,
 }
 
 /// The estimated state at the end of a policy step, for a robot that acts on its sensors.
@@ -157,35 +111,10 @@ pub struct Frame {
     pub sensed: Option<Sensed>,
     /// The felt forces, if they are observed.
     pub felt: Option<Felt>,
-    /// Disturbance to draw in this step.
-    pub disturbance: Option<Disturbance>,
+    /// How the disturbance that acts is drawn.
+    pub mark: Option<Mark>,
     /// The matching stage of a training episode, for scripts with a single push.
     pub stage: Option<Stage>,
-}
-
-/// An event of a playback.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Event {
-    /// Simulation time \[s\].
-    pub time_s: f64,
-    /// Kind of the event.
-    pub kind: EventKind,
-    /// Text of the event.
-    pub text: String,
-}
-
-/// Kinds of events.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum EventKind {
-    /// A disturbance began.
-    Disturbance,
-    /// The robot fell.
-    Fall,
-    /// The robot completed the scenario's task (crossed, passed, recovered).
-    Success,
-    /// The physics or the sensors failed.
-    Fault,
 }
 
 /// The frames and events of one playback.

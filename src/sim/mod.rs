@@ -19,6 +19,7 @@ pub mod last_second;
 mod look;
 mod parts;
 pub mod scene;
+pub mod terrain;
 
 use control::{Gains, Latency, mechanical_power, squared_torque};
 pub use dynamics::Dynamics;
@@ -60,6 +61,25 @@ pub struct StepSummary {
     pub fall: Option<Fall>,
 }
 
+/// Forces on the robot over the physics steps of one policy step.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct StepForces {
+    /// Motor torques in the last physics step [N·m].
+    pub torques: Joints,
+    /// Force on the trunk from outside, mean, world frame \[N\]: disturbances, and what touches the trunk.
+    pub trunk: Vector3<f64>,
+    /// Force of contacts and of what holds it on each foot, mean, world frame \[N\].
+    pub feet: [Vector3<f64>; 4],
+    /// Largest contact force on any one foot \[N\].
+    pub peak_foot_n: f64,
+    /// Largest contact force between the robot and obstacles \[N\].
+    pub peak_obstacle_n: f64,
+    /// Impulse between the robot and obstacles [N·s].
+    pub obstacle_impulse_n_s: f64,
+    /// Time in contact with obstacles \[s\].
+    pub obstacle_contact_s: f64,
+}
+
 /// Physical conditions of an episode.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Conditions {
@@ -69,26 +89,6 @@ pub struct Conditions {
     pub friction: f64,
     /// Bias of the encoders: measured minus true joint angle \[rad\].
     pub encoder_bias: Joints,
-}
-
-/// An instantaneous change of the trunk's velocity.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-pub struct Push {
-    /// Change of velocity, forward and left, heading frame [m/s].
-    pub linear: [f64; 2],
-    /// Change of angular velocity about the base's three axes [rad/s].
-    pub angular: [f64; 3],
-}
-
-/// A constant force on the trunk during an interval, like that of a leash.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Pull {
-    /// Time at which the pull begins \[s\].
-    pub from_s: f64,
-    /// Time at which the pull ends \[s\].
-    pub until_s: f64,
-    /// Force along x and y of the world frame, forward and left at the robot's start \[N\].
-    pub force: [f64; 2],
 }
 
 /// A hook into every physics step of a policy step, which may also pull the trunk and hold the feet.
@@ -317,13 +317,14 @@ impl Sim {
         state
     }
 
-    /// Adds a push to the trunk's velocity at this instant.
+    /// Adds to the trunk's velocity at this instant: forward and left in the heading frame [m/s], and about the base's three
+    /// axes [rad/s].
     ///
     /// # Errors
     /// MuJoCo fails with the new velocity.
-    pub fn push(&mut self, push: &Push) -> Result<()> {
-        let linear = self.state().heading() * Vector3::new(push.linear[0], push.linear[1], 0.0);
-        self.parts.add_velocity(&mut self.data, linear, Vector3::from(push.angular));
+    pub fn push(&mut self, [forward, left]: [f64; 2], angular: [f64; 3]) -> Result<()> {
+        let linear = self.state().heading() * Vector3::new(forward, left, 0.0);
+        self.parts.add_velocity(&mut self.data, linear, Vector3::from(angular));
         self.refresh()
     }
 

@@ -1,16 +1,14 @@
 /*! The learning task (section III) as pure functions.
 
-Read in this order: [`reward`] (what the policy is rewarded for), [`episode`] (stages, pushes and the curriculum),
-[`deviation`] (how a robot and its feet differ from the simulation), [`compliance`] (the outer loop that makes compliance a command). Only the [`SwingTracker`] keeps state while physics
-steps.
+Read in this order: [`reward`] (what the policy is rewarded for), [`stages`] (when), [`compliance`] (the outer loop that makes
+compliance a command). Only the [`SwingTracker`] keeps state while physics steps.
 */
 pub mod compliance;
-pub mod deviation;
-pub mod episode;
 pub mod reward;
+pub mod stages;
 
 pub use compliance::VirtualMass;
-pub use episode::{Curriculum, EpisodePlan, Stage, Stages};
 pub use reward::{SwingTracker, Terms};
+pub use stages::{Stage, Stages};
 
 pub use crate::observation::Command;

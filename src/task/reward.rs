@@ -17,22 +17,44 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::config::Reward;
 use crate::observation::Command;
-use crate::robot::{FootState, Foothold, RobotState};
-use crate::sim::{StepObserver, StepSummary};
+use crate::robot::{FootState, Foothold, Joints, RobotState};
+use crate::sim::{StepForces, StepObserver, StepSummary};
 
-/// Inputs of the reward terms: one policy step.
+/// Inputs of the reward terms: one policy step, and what came before it.
 #[derive(Debug, Clone, Copy)]
 pub struct RewardInput<'a> {
-    /// State at the end of the step.
+    /// State at the end of the step; its felt force is the true one.
     pub state: &'a RobotState,
+    /// State at the end of the step before.
+    pub before: &'a RobotState,
+    /// Joint targets of this step and of the two before \[rad\]; the nominal pose before the first.
+    pub targets: &'a [Joints; 3],
     /// Command to the policy, base frame.
     pub command: &'a Command,
     /// Power and torque over the step.
     pub summary: &'a StepSummary,
     /// Swings that ended in the step.
     pub landings: &'a Landings,
+    /// Motor torques, and forces on trunk and feet.
+    pub forces: &'a StepForces,
+    /// Length of the step \[s\].
+    pub period_s: f64,
+    /// Time at the end of the step since the episode began \[s\].
+    pub time_s: f64,
     /// Targets and sharpnesses of the terms.
     pub config: &'a Reward,
+}
+
+impl RewardInput<'_> {
+    /// Returns the rates of the joint targets [rad/s].
+    pub fn target_rates(&self) -> Joints {
+        std::array::from_fn(|joint| (self.targets[0][joint] - self.targets[1][joint]) / self.period_s)
+    }
+
+    /// Returns the accelerations of the joints, mean over the step [rad/s²].
+    pub fn joint_accelerations(&self) -> Joints {
+        std::array::from_fn(|joint| (self.state.joint_rates[joint] - self.before.joint_rates[joint]) / self.period_s)
+    }
 }
 
 /// A term of the reward; its number is its place in [`TERMS`].

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use crate::config::{Config, ValueError};
 use crate::network::{ActorCritic, NetworkError};
 use crate::ppo::LearnerState;
-use crate::task::Curriculum;
+use crate::train::Curriculum;
 use crate::train::environment::EnvState;
 use crate::util::files::{self, FileError};
 use crate::util::tensors::{self, Tensor, TensorError};
@@ -28,7 +28,7 @@ pub const PREVIOUS: &str = "checkpoint.previous.safetensors";
 pub const DAMAGED: &str = "checkpoint.damaged.safetensors";
 
 /// Version of the format that is written.
-const FORMAT: u32 = 2;
+const FORMAT: u32 = 3;
 
 /// Name of the tensor with the bytes of the [`RunState`] as JSON.
 const RUN: &str = "run";

@@ -11,7 +11,7 @@ use rand_distr::StandardNormal;
 use crate::mujoco;
 use crate::network::{ActorCritic, PackedMlp, Scratch};
 use crate::ppo::{Batch, DiagonalGaussian};
-use crate::task::Curriculum;
+use crate::train::Curriculum;
 use crate::train::environment::{EpisodeEnd, EpisodeReport, LocomotionEnv};
 use crate::util::random::{Purpose, stream};
 

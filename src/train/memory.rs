@@ -11,7 +11,7 @@ use super::TrainError;
 use super::environment::{LocomotionEnv, Shared};
 use crate::config::{Config, LearnerKind};
 use crate::robot::JOINTS;
-use crate::task::Curriculum;
+use crate::train::Curriculum;
 use crate::util::memory::{FreeMemory, gibibytes};
 
 /// Bytes per parameter of the fused learner, including a checkpoint being written; 54 to 56 were measured.

@@ -4,10 +4,11 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
+use super::Curriculum;
 use crate::config::Config;
 use crate::ppo::UpdateStatistics;
 use crate::ranks::{Ranks, sum_over_samples};
-use crate::task::{Curriculum, Terms};
+use crate::task::Terms;
 use crate::train::collection::Rollout;
 use crate::train::environment::{EpisodeEnd, EpisodeReport};
 

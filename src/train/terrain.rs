@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use crate::config::{SPACING_M, TILE_M, Terrain};
 use crate::observation::Command;
 use crate::robot::RobotState;
-use crate::scenario::terrain::Perlin;
+use crate::sim::terrain::Perlin;
 use crate::sim::{Buffers, HeightField};
 use crate::util::random::{Purpose, stream};
 

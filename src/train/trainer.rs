@@ -24,7 +24,7 @@ use crate::policy::{Policy, Provenance};
 use crate::ppo::{Learner, LearnerState, PrecisionError, Samples, UpdateFault, learner, resolved};
 use crate::ranks::{Alone, RankError, Ranks, agree, sum_over_samples};
 use crate::robot::JOINTS;
-use crate::task::Curriculum;
+use crate::train::Curriculum;
 use crate::util::files::FileError;
 use crate::util::provenance;
 use crate::util::random::{Purpose, stream};
@@ -492,20 +492,21 @@ mod tests {
         assert!(header < 10_000, "{header}");
         assert!(Checkpoint::from_bytes(&bytes).unwrap() == checkpoint);
         // That of the version before had its environments there.
-        let at = bytes.windows(10).position(|part| part == b"format\\\":2").unwrap();
-        bytes[at + 9] = b'1';
+        let at = bytes.windows(10).position(|part| part == b"format\\\":3").unwrap();
+        bytes[at + 9] = b'2';
         let error = Checkpoint::from_bytes(&bytes).unwrap_err().to_string();
-        assert!(error.contains("its format is 1, this program reads 2: resume with the version"), "{error}");
+        assert!(error.contains("its format is 2, this program reads 3: resume with the version"), "{error}");
     }
 
     #[test]
     fn a_checkpoint_that_no_run_could_have_written_is_refused_by_name() {
         let Checkpoint { run, learner } = Trainer::new("test", real(), 0, 1).unwrap().checkpoint().unwrap();
         let run = serde_json::to_value(&run).unwrap();
-        let hold = json!([{"leg": 4, "from_s": 0.0, "until_s": 1.0, "height_m": 0.1}]);
+        let hold = json!({"leg": 4, "from_s": 0, "until_s": 1, "height_m": 0.1, "force_n": 60, "stiffness_n_per_m": 600});
+        let holds = json!([{"hold": [hold, {"acts": false, "acted": false, "pin": null}]}]);
         for (place, key, value, expected) in [
             ("/environments/0/progress/plan/dynamics", "latency_s", json!(1e12), "latency_s is 1000000000000"),
-            ("/environments/0/progress/plan", "holds", hold, "the foot of leg 4, expected 0 to 3"),
+            ("/environments/0/world", "disturbances", holds, "the foot of leg 4, expected 0 to 3"),
             ("/environments/1/progress/course", "level", json!(2), "level 2, expected 0 to 1"),
             ("/curriculum", "force_fraction", json!(-1.0), "curriculum.force_fraction is -1, expected 0 to 1"),
             ("/curriculum", "command_fraction", json!(1.5), "curriculum.command_fraction is 1.5, expected 0 to 1"),

@@ -4,7 +4,7 @@ use clap::{FromArgMatches, Subcommand};
 use supple::mujoco::Kind;
 use supple::scenario::catalog::{DEFAULTS, Scenario};
 use supple::scenario::estimation::Estimation;
-use supple::scenario::trace::{Disturbance, EventKind, Trace};
+use supple::scenario::trace::{EventKind, Mark, Trace};
 use supple::scenario::{Playback, Sensing};
 use supple::util::yaml::{Text, flat_parameters};
 
@@ -206,8 +206,8 @@ fn a_push_changes_the_velocity_by_its_size_in_its_direction() {
     let config = standing_policy().provenance.config;
     let script = scenario.script(2, &config).unwrap();
     let trace = trace(&scenario, 2);
-    let first = trace.frames.iter().find(|frame| frame.disturbance.is_some()).unwrap();
-    assert!((first.time_s - script.pushes[0].time_s).abs() < 1.5 / 60.0);
+    let first = trace.frames.iter().find(|frame| frame.mark.is_some()).unwrap();
+    assert!((first.time_s - script.pushes().next().unwrap().at_s).abs() < 1.5 / 60.0);
     // One policy step later the feet have already taken some of it away.
     let left = first.velocity_in_heading[1];
     assert!(left > 0.1 && left < 0.45, "{left}");
@@ -237,8 +237,8 @@ fn a_leash_that_is_led_away_gets_taut_and_pulls_where_it_leads() {
     for frame in &trace.frames {
         let force_n = frame.spring.map_or(0.0, |spring| spring.force_n);
         assert!(force_n == 0.0 || frame.time_s + 1e-9 >= taut.time_s, "{}", frame.time_s);
-        let pull = Disturbance::Pull { force: [force_n * 90.0_f64.to_radians().cos(), force_n, 0.0] };
-        assert_eq!(frame.disturbance, (force_n > 0.0).then_some(pull));
+        let pull = Mark::Rope { force: [force_n * 90.0_f64.to_radians().cos(), force_n, 0.0] };
+        assert_eq!(frame.mark, (force_n > 0.0).then_some(pull));
     }
     // At the end 200 N/m · 0.15 m + 20 N·s/m · 0.5 m/s, less what the robot gives way.
     let last = trace.frames.last().unwrap().spring.unwrap();
@@ -254,7 +254,7 @@ fn a_wall_stops_a_robot_that_walks_into_it_where_it_stands() {
     let met = trace.events.iter().find(|event| event.text == "meets the wall").unwrap();
     let first = trace.frames.iter().find(|frame| frame.time_s > met.time_s - 1e-9).unwrap();
     assert!((first.position[0] - 1.0).abs() < 0.03, "{first:?}");
-    let Some(Disturbance::Press { force }) = first.disturbance else { panic!("{:?}", first.disturbance) };
+    let Some(Mark::Press { force }) = first.mark else { panic!("{:?}", first.mark) };
     assert!(force[0] < 0.0 && force[1].abs() < 1e-9 && force[2] == 0.0, "{force:?}");
     let metrics = wall.metrics(&script, &trace);
     let of = |name: &str| metrics.iter().find(|metric| metric.name == name).unwrap().value.unwrap();

@@ -11,7 +11,7 @@ use crate::section_content::{Claim, Row, Table};
 use crate::statistics::{Comparison, PerSeed, Spread, Verdict, mean};
 use crate::trial::TrialEnd;
 use supple::robot::GRAVITY_M_S2;
-use supple::scenario::catalog::{Leash, PushAway};
+use supple::scenario::catalog::{Leash, PushTrunk};
 
 /// The measured compliance; a condition has the commanded one.
 const MEASURED: Quantity = Quantity::new("compliance_m_s_per_n", "compliance", "m/s/N", 4);
@@ -199,7 +199,7 @@ impl Experiment for CommandedCompliance {
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
-        let (leash, push): (Leash, PushAway) = (defaults("leash")?, defaults("push")?);
+        let (leash, push): (Leash, PushTrunk) = (defaults("leash")?, defaults("push")?);
         let mut conditions = Vec::new();
         for command in &self.commands_m_s {
             for compliance in &self.compliances {
@@ -234,7 +234,7 @@ impl Experiment for CommandedCompliance {
         let pushes = pushes.into_iter().flat_map(|side| self.compliances.iter().map(move |c| (side, *c)));
         conditions.extend(pushes.map(|((side, direction_deg), compliance)| Condition {
             label: format!("pushed {side}, c = {}", brief(compliance)),
-            scenario: Scenario::Push(PushAway {
+            scenario: Scenario::Push(PushTrunk {
                 task: Task { compliance: Some(compliance), ..push.task.clone() },
                 direction_deg,
                 ..push.clone()
@@ -251,15 +251,15 @@ impl Experiment for CommandedCompliance {
 
     fn measure(&self, trial: &Trial) -> TrialValues {
         let mut values = vec![None, None, None, None, trial.end.fell()];
-        if let (true, Some(pull)) = (trial.is_upright(), trial.script.pull) {
+        if let (true, Some(pull)) = (trial.is_upright(), trial.script.pull()) {
             let (from_s, until_s) = (pull.until_s - self.average_s, pull.until_s);
             let offset = metrics::offset_along_force(trial.trace, pull.force, from_s, until_s);
             values[0] = offset.map(|offset| offset / pull.force[0].hypot(pull.force[1]));
         }
         if let Some(pushed) = push::upright_push(trial) {
-            let [to_10, _, carried, _] = push::decay(trial.trace, pushed.time_s, pushed.push.linear);
+            let [to_10, _, carried, _] = push::decay(trial.trace, pushed.at_s, pushed.linear);
             (values[1], values[2]) = (to_10, carried);
-            let momentum = trial.trace.weight_n / GRAVITY_M_S2 * pushed.push.linear[0].hypot(pushed.push.linear[1]);
+            let momentum = trial.trace.weight_n / GRAVITY_M_S2 * pushed.linear[0].hypot(pushed.linear[1]);
             let ideal_m = trial.scenario.task().compliance.map(|compliance| compliance * momentum);
             values[3] = carried.zip(ideal_m).map(|(carried, ideal)| carried / ideal);
         }

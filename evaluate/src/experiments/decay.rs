@@ -61,14 +61,14 @@ impl Experiment for Decay {
     }
 
     fn measure(&self, trial: &Trial) -> TrialValues {
-        let Some(pushed) = trial.script.pushes.first() else { return vec![None; QUANTITIES.len()].into() };
+        let Some(pushed) = trial.script.pushes().next() else { return vec![None; QUANTITIES.len()].into() };
         let upright = trial.is_upright();
-        let before = metrics::window(trial.trace, pushed.time_s - 1.0, pushed.time_s);
+        let before = metrics::window(trial.trace, pushed.at_s - 1.0, pushed.at_s);
         let before = metrics::mean(before, |frame| frame.velocity_in_heading[1]).filter(|_| upright);
         let [to_10, to_20, carried, undecayed] =
-            push::upright_push(trial).map_or([None; 4], |it| push::decay(trial.trace, it.time_s, it.push.linear));
+            push::upright_push(trial).map_or([None; 4], |it| push::decay(trial.trace, it.at_s, it.linear));
         let values = vec![to_10, to_20, carried, before, undecayed, trial.end.fell()];
-        TrialValues { values, series: velocity::around(trial.trace, pushed.time_s) }
+        TrialValues { values, series: velocity::around(trial.trace, pushed.at_s) }
     }
 
     fn report(&self, section: &mut SectionBuilder) {

@@ -3,7 +3,7 @@
 use super::prelude::*;
 use super::push;
 use crate::plot::polar::Scales;
-use supple::scenario::catalog::PushAway;
+use supple::scenario::catalog::PushTrunk;
 use supple::scenario::metrics::BRIEF_S;
 use supple::task::Command;
 
@@ -40,10 +40,10 @@ impl Experiment for Directions {
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
-        let base: PushAway = defaults("push")?;
+        let base: PushTrunk = defaults("push")?;
         Ok(by_gait_and_direction(&self.commands_m_s, self.directions, |forward_m_s, direction_deg| {
             let task = Task { forward_m_s, ..base.task.clone() };
-            Scenario::Push(PushAway { direction_deg, task, ..base })
+            Scenario::Push(PushTrunk { direction_deg, task, ..base })
         }))
     }
 
@@ -53,10 +53,10 @@ impl Experiment for Directions {
 
     fn measure(&self, trial: &Trial) -> TrialValues {
         let push = push::upright_push(trial);
-        let decay = push.map_or([None; 4], |push| push::decay(trial.trace, push.time_s, push.push.linear));
+        let decay = push.map_or([None; 4], |push| push::decay(trial.trace, push.at_s, push.linear));
         let briefly = push
             .filter(|_| Command { compliance: None, ..trial.script.command } == Command::default())
-            .and_then(|push| metrics::decay(trial.trace, push.time_s, push.push.linear, 0.1, BRIEF_S))
+            .and_then(|push| metrics::decay(trial.trace, push.at_s, push.linear, 0.1, BRIEF_S))
             .map(|decay| decay.time_s);
         [&decay[..], &[trial.end.fell(), briefly]].concat().into()
     }

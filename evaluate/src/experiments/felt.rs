@@ -7,7 +7,7 @@ use crate::section_content::{Claim, number};
 use crate::sensing;
 use crate::statistics::{Spread, Verdict, mean};
 use supple::scenario::Script;
-use supple::scenario::catalog::{BallPit, Leash, Pendulum, Pulley, PushAway, Rubble, Terrain, TerrainKind, Walk};
+use supple::scenario::catalog::{BallPit, Leash, Pendulum, Pulley, PushTrunk, Rubble, Terrain, TerrainKind, Walk};
 use supple::scenario::trace::{Felt as FeltForces, Frame};
 
 /// The error of the felt force while something pulls.
@@ -149,7 +149,7 @@ impl Felt {
         let undisturbed = |[forward_m_s, left_m_s, yaw_rad_s]: [f64; 3], extra_mass_kg: f64| {
             Scenario::Walk(Walk { task: Task { forward_m_s, left_m_s, yaw_rad_s, extra_mass_kg, ..walk.task.clone() } })
         };
-        let (push, pulley, pendulum): (PushAway, Pulley, Pendulum) =
+        let (push, pulley, pendulum): (PushTrunk, Pulley, Pendulum) =
             (defaults("push")?, defaults("pulley")?, defaults("pendulum")?);
         let gaits = [0.0, 0.5];
         let by_side = |scenario: &dyn Fn(f64, f64) -> Scenario| {
@@ -167,7 +167,7 @@ impl Felt {
             // The seed delays a push by up to 0.65 s.
             let duration_s = self.at_s + metrics::PHASE_S + BLOW_S + 0.1;
             let task = Task { forward_m_s, duration_s, ..push.task.clone() };
-            Scenario::Push(PushAway { task, direction_deg, at_s: self.at_s, ..push.clone() })
+            Scenario::Push(PushTrunk { task, direction_deg, at_s: self.at_s, ..push.clone() })
         };
         groups.push(Group::new("pushed", Role::Pulled, by_side(&pushed)));
         let by_weight = |forward_m_s: f64, direction_deg: f64| {
@@ -215,7 +215,7 @@ fn pulled_s(trial: &Trial) -> Option<[f64; 2]> {
     match trial.scenario {
         Scenario::Leash(leash) => Some([leash.at_s + STEADY_S, leash.at_s + leash.for_s]),
         Scenario::Pulley(pulley) => Some([pulley.at_s + STEADY_S, pulley.at_s + pulley.for_s]),
-        Scenario::Push(_) => trial.script.pushes.first().map(|push| [push.time_s, push.time_s + BLOW_S]),
+        Scenario::Push(_) => trial.script.pushes().next().map(|push| [push.at_s, push.at_s + BLOW_S]),
         Scenario::Pendulum(pendulum) => {
             pendulum.impact(trial.trace).map(|impact| [impact.time_s, impact.time_s + BLOW_S])
         }
@@ -300,7 +300,7 @@ impl Experiment for Felt {
     }
 
     fn until_s(&self, script: &Script) -> f64 {
-        script.pushes.first().map_or(script.duration_s, |push| push.time_s + BLOW_S)
+        script.pushes().next().map_or(script.duration_s, |push| push.at_s + BLOW_S)
     }
 
     fn measure(&self, trial: &Trial) -> TrialValues {

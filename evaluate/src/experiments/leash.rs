@@ -73,7 +73,7 @@ impl Experiment for Leash {
 
     fn measure(&self, trial: &Trial) -> TrialValues {
         let mut values = vec![None, trial.end.fell(), None];
-        if let (true, Some(pull)) = (trial.is_upright(), trial.script.pull) {
+        if let (true, Some(pull)) = (trial.is_upright(), trial.script.pull()) {
             let (from_s, until_s) = (pull.until_s - self.average_s, pull.until_s);
             values[0] = metrics::offset_along_force(trial.trace, pull.force, from_s, until_s);
             values[2] = metrics::mean(metrics::window(trial.trace, from_s, until_s), |frame| frame.power_w);

@@ -236,7 +236,7 @@ mod tests {
     #[test]
     fn power_before_and_after_are_means_over_their_second() {
         let protocol = Protocol::full().unwrap();
-        let push_s = script(&protocol.table4).1.pushes[0].time_s;
+        let push_s = script(&protocol.table4).1.pushes().next().unwrap().at_s;
         let mut trace = steady(8.0, [0.5, 0.0, 0.0]);
         for frame in &mut trace.frames {
             let since_s = frame.time_s - push_s;
@@ -329,7 +329,7 @@ mod tests {
     #[test]
     fn fall_after_the_window_changes_no_power() {
         let protocol = Protocol::full().unwrap();
-        let push_s = script(&protocol.table4).1.pushes[0].time_s;
+        let push_s = script(&protocol.table4).1.pushes().next().unwrap().at_s;
         let power = |fall_s: f64| {
             let end_s = push_s + fall_s;
             let mut trace = steady(end_s, [0.5, 0.0, 0.0]);
@@ -347,7 +347,7 @@ mod tests {
     #[test]
     fn fall_after_the_watch_counts_as_success() {
         let protocol = Protocol::full().unwrap();
-        let push_s = script(&protocol.push_grid).1.pushes[0].time_s;
+        let push_s = script(&protocol.push_grid).1.pushes().next().unwrap().at_s;
         let success = |fall_s: f64| {
             let mut trace = steady(push_s + fall_s, [0.5, 0.0, 0.0]);
             trace.events.push(Event { time_s: push_s + fall_s, kind: EventKind::Fall, text: String::new() });

@@ -2,10 +2,10 @@
 
 use super::prelude::*;
 use crate::results::Results;
-use supple::scenario::TimedPush;
-use supple::scenario::catalog::PushAway;
+use supple::scenario::catalog::PushTrunk;
 use supple::scenario::metrics::STRIDE_S;
 use supple::scenario::trace::Trace;
+use supple::world::Push;
 
 /// The decay time to 10 % of the push.
 pub(super) const TO_10: Quantity = Quantity::new("decay_10_s", "decay to 10 %", "s", 2);
@@ -48,13 +48,13 @@ pub(super) fn decay(trace: &Trace, time_s: f64, push: [f64; 2]) -> [Option<f64>;
 }
 
 /// Returns the push of a trial in which the robot did not fall.
-pub(super) fn upright_push<'a>(trial: &Trial<'a>) -> Option<&'a TimedPush> {
-    trial.script.pushes.first().filter(|_| trial.is_upright())
+pub(super) fn upright_push<'a>(trial: &Trial<'a>) -> Option<&'a Push> {
+    trial.script.pushes().next().filter(|_| trial.is_upright())
 }
 
 /// Returns the one condition of E2 and E3: the push of the scenario's file.
 pub(super) fn sideways() -> Result<Vec<Condition>, ConfigError> {
-    let push: PushAway = defaults("push")?;
+    let push: PushTrunk = defaults("push")?;
     Ok(vec![Condition { label: "0.5 m/s to the left".into(), scenario: Scenario::Push(push) }])
 }
 

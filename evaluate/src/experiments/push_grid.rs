@@ -8,7 +8,7 @@ use crate::square_grid::{self, SquareGrid};
 use crate::statistics::{Comparison, Numbers, PerSeed, Spread, estimate, mean};
 use crate::trial::TrialEnd;
 use supple::scenario::Script;
-use supple::scenario::catalog::PushAway;
+use supple::scenario::catalog::PushTrunk;
 use supple::scenario::metrics::PHASE_S;
 
 const SUCCESS: Quantity = Quantity::new("success", "success rate", "%", 0);
@@ -117,11 +117,11 @@ impl Experiment for PushGrid {
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
-        let base: PushAway = defaults("push")?;
+        let base: PushTrunk = defaults("push")?;
         let coordinates = square_grid::coordinates(self.limit_m_s, self.points_per_side);
         let condition = |forward: f64, left: f64| Condition {
             label: format!("{forward:+.3}, {left:+.3} m/s").replace('-', "−"),
-            scenario: Scenario::Push(PushAway {
+            scenario: Scenario::Push(PushTrunk {
                 push_m_s: forward.hypot(left),
                 direction_deg: left.atan2(forward).to_degrees(),
                 at_s: self.at_s,
@@ -142,7 +142,7 @@ impl Experiment for PushGrid {
     }
 
     fn until_s(&self, script: &Script) -> f64 {
-        script.pushes.first().map_or(script.duration_s, |push| push.time_s + self.watch_s)
+        script.pushes().next().map_or(script.duration_s, |push| push.at_s + self.watch_s)
     }
 
     fn measure(&self, trial: &Trial) -> TrialValues {

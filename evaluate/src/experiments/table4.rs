@@ -3,7 +3,7 @@
 use super::prelude::*;
 use super::push;
 use crate::plot::dots::{self, Dots};
-use supple::scenario::catalog::PushAway;
+use supple::scenario::catalog::PushTrunk;
 use supple::scenario::trace::Frame;
 
 const QUANTITIES: &[Quantity] = &[
@@ -62,12 +62,12 @@ impl Experiment for Table4 {
     }
 
     fn check(&self) -> Result<(), ParameterError> {
-        let until_push_s = defaults::<PushAway>("push").map_or(0.0, |push| push.at_s);
+        let until_push_s = defaults::<PushTrunk>("push").map_or(0.0, |push| push.at_s);
         in_range("window_s", self.window_s, 0.1, until_push_s, "0.1 s to the time before the push")
     }
 
     fn measure(&self, trial: &Trial) -> TrialValues {
-        let Some(push) = trial.script.pushes.first() else { return vec![None; QUANTITIES.len()].into() };
+        let Some(push) = trial.script.pushes().next() else { return vec![None; QUANTITIES.len()].into() };
         let trace = trial.trace;
         // The trace of a fallen robot ends with the fall.
         let reaches = |time_s: f64| trace.frames.last().is_some_and(|f| f.time_s + 0.5 * trace.period_s > time_s);
@@ -75,7 +75,7 @@ impl Experiment for Table4 {
             let until_s = from_s + self.window_s;
             reaches(until_s).then(|| metrics::window(trace, from_s, until_s))
         };
-        let [before, after] = [push.time_s - self.window_s, push.time_s].map(window);
+        let [before, after] = [push.at_s - self.window_s, push.at_s].map(window);
         let of = |quantity: fn(&Frame) -> f64| {
             let [before, after] = [before.clone(), after.clone()].map(|frames| metrics::mean(frames?, quantity));
             [before, after, after.zip(before).map(|(after, before)| after - before)]

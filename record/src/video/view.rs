@@ -5,7 +5,7 @@ use crate::marks::{self, Arrow};
 use crate::style::{BLUE, CAMERA_LAG_S, GREY, PURPLE, PUSH_SHOWN_S, Rgb, VERMILLION, YELLOW};
 use crate::{RobotView, geometry};
 use supple::mujoco::{Camera, Kind, Mark, MarkShape, Renderer};
-use supple::scenario::trace::{Disturbance, Frame, Pose, Trace};
+use supple::scenario::trace::{Frame, Mark, Pose, Trace};
 
 /// Length of the arrows of pulls and felt forces [m/N]; longer than in recordings, as there is no zoom.
 const METRES_PER_NEWTON: f64 = 1.0 / 80.0;
@@ -107,17 +107,17 @@ fn disturbance(past: &[Frame]) -> Vec<Mark> {
     let frame = &past[past.len() - 1];
     let trunk = frame.position;
     let mut marks = Vec::new();
-    match frame.disturbance {
-        Some(Disturbance::Pull { force }) => {
+    match frame.mark {
+        Some(Mark::Rope { force }) => {
             let pull = marks::pull(trunk, force, METRES_PER_NEWTON);
             marks.extend([rod(trunk, pull.0, 0.006, YELLOW), arrow(pull, 0.016, VERMILLION)]);
         }
-        Some(Disturbance::Press { force }) => marks.push(arrow(marks::press(trunk, force), 0.016, VERMILLION)),
+        Some(Mark::Press { force }) => marks.push(arrow(marks::press(trunk, force), 0.016, VERMILLION)),
         _ => {}
     }
     let is_recent = |earlier: &&Frame| earlier.time_s > frame.time_s - PUSH_SHOWN_S;
     let push = past.iter().rev().take_while(is_recent).find_map(|earlier| match earlier.disturbance {
-        Some(Disturbance::Push { velocity }) => Some(velocity),
+        Some(Mark::Push { velocity }) => Some(velocity),
         _ => None,
     });
     marks.extend(push.map(|velocity| arrow(marks::push(trunk, velocity), 0.016, VERMILLION)));

@@ -7,7 +7,7 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use supple::robot::GRAVITY_M_S2;
 use supple::scenario::session::{Act, Input, RATE_HZ, RobotStep, SceneKind};
 use supple::scenario::trace::{Event, EventKind, Frame};
-use supple::sim::{Push, Scene};
+use supple::sim::Scene;
 use supple::task::Command;
 use supple_drive::driver::Heard;
 use supple_drive::message::Message;
@@ -119,7 +119,7 @@ impl Page {
                     Act::Pull(force) => self.hold(force, body),
                     act @ Act::Push { size, unit } => {
                         let linear = unit.velocity(size, self.robot.scene.robot.mass_kg);
-                        body.playback().push(Push { linear, angular: [0.0; 3] });
+                        body.playback().push(linear);
                         self.publisher.note_input(&self.robot, &Input::Act(act));
                     }
                     // Compliance is the client's, and a robot that is commanded from outside is not put elsewhere.
@@ -177,7 +177,7 @@ mod tests {
     use supple::robot::JOINTS;
     use supple::scenario::catalog::Scenario;
     use supple::scenario::session::PushUnit;
-    use supple::scenario::trace::Disturbance;
+    use supple::scenario::trace::Mark;
     use supple_drive::driver::SILENCE;
 
     use super::*;
@@ -213,8 +213,8 @@ mod tests {
         let frame = play(&mut page, 10);
         assert!(frame.velocity_in_heading[1] > 0.3, "{:?}", frame.velocity_in_heading);
         assert_eq!(page.command(), Command::velocity(1.0, 0.0, -0.25));
-        let force_n = match frame.disturbance {
-            Some(Disturbance::Pull { force }) => force.iter().map(|part| part * part).sum::<f64>().sqrt(),
+        let force_n = match frame.mark {
+            Some(Mark::Rope { force }) => force.iter().map(|part| part * part).sum::<f64>().sqrt(),
             other => panic!("{other:?}"),
         };
         assert!((force_n - MOST_PULL_N).abs() < 1e-9, "{force_n}");
@@ -225,8 +225,8 @@ mod tests {
         assert_eq!(shown["reading"]["push"]["size_m_s"][1].as_f64(), Some(0.5));
 
         std::thread::sleep(SILENCE + Duration::from_millis(50));
-        let disturbance = play(&mut page, 20).disturbance;
-        assert!(!matches!(disturbance, Some(Disturbance::Pull { .. })), "{disturbance:?}");
+        let mark = play(&mut page, 20).mark;
+        assert!(!matches!(mark, Some(Mark::Rope { .. })), "{mark:?}");
         assert_eq!(page.command(), Command::default());
     }
 }

@@ -9,7 +9,8 @@ use supple::policy::Agent;
 use supple::robot::{FootState, Foothold, Joints};
 use supple::scenario::catalog::Scenario;
 use supple::sim::{Parts, Scene, Sim, StepObserver};
-use supple::task::{Command, Curriculum, EpisodePlan};
+use supple::task::Command;
+use supple::train::{Curriculum, EpisodePlan};
 use supple::util::random::{Purpose, stream};
 
 /// Length of an episode without a fall \[s\].
@@ -87,10 +88,10 @@ pub fn episode(agent: &Agent, noise: SensorNoise, seed: u64, which: [u64; 2]) ->
         let mut state = sim.state();
         state.felt_force = Some(std::mem::take(&mut felt_force));
         tap.target = controller.joint_targets(&state, &plan.command);
-        if let (true, Some(push)) = (step == push_step, &plan.push) {
+        if let (true, Some(push)) = (step == push_step, plan.push()) {
             // As in training: a force for one step, of which the policy learns after it.
             felt_force = push.linear.map(|speed| speed * sim.robot().mass_kg / simulation.policy_period_s());
-            sim.push(push)?;
+            sim.push(push.linear, push.angular)?;
         }
         if sim.step(&tap.target.clone(), &mut tap)?.fall.is_some() {
             break;

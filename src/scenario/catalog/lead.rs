@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 use super::{ParameterError, Parameters, Task, in_range, metric, towards};
 use crate::scenario::Script;
 use crate::scenario::metrics::{self, Metric};
-use crate::scenario::spring::{Spring, SpringEnd};
 use crate::scenario::trace::{Frame, Trace};
+use crate::world::disturbance::{Disturbance, Spring, SpringEnd};
 
 /// Length of the averages at the end of the playback \[s\].
 const LAST_S: f64 = 3.0;
@@ -50,7 +50,7 @@ impl Parameters for Lead {
         let direction = towards(self.direction_deg);
         // The hand goes along with the commanded walk.
         let walk_m_s = self.task.forward_m_s * direction[0] + self.task.left_m_s * direction[1];
-        script.spring = Some(Spring {
+        script.disturbances.push(Disturbance::Spring(Spring {
             end: SpringEnd::Hand,
             from_s: self.at_s,
             direction,
@@ -58,7 +58,7 @@ impl Parameters for Lead {
             gap_m: self.slack_m,
             stiffness_n_per_m: self.stiffness_n_per_m,
             damping_n_s_per_m: self.damping_n_s_per_m,
-        });
+        }));
         Ok(())
     }
 

@@ -7,7 +7,7 @@ use super::{ParameterError, Parameters, Task, in_range, metric, towards};
 use crate::scenario::Script;
 use crate::scenario::metrics::{self, Metric};
 use crate::scenario::trace::Trace;
-use crate::sim::Pull;
+use crate::world::{Disturbance, Pull};
 
 /// Leash: a constant pull on the trunk.
 #[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -37,12 +37,13 @@ impl Parameters for Leash {
         in_range("at-s", self.at_s, 0.0, 3600.0, "0 to 3600 s")?;
         in_range("for-s", self.for_s, 0.0, 3600.0, "0 to 3600 s")?;
         let force = towards(self.direction_deg).map(|part| self.force_n * part);
-        script.pull = Some(Pull { from_s: self.at_s, until_s: self.at_s + self.for_s, force });
+        let pull = Pull::constant([self.at_s, self.at_s + self.for_s], force);
+        script.disturbances.push(Disturbance::Pull(pull));
         Ok(())
     }
 
     fn metrics(&self, script: &Script, trace: &Trace, found: &mut Vec<Metric>) {
-        let Some(pull) = script.pull else { return };
+        let Some(pull) = script.pull() else { return };
         let end_s = pull.until_s.min(script.duration_s);
         let from_s = (end_s - 5.0).max(pull.from_s);
         let pulled = trace.disturbed("pull:").is_some();

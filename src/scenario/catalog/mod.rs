@@ -76,8 +76,9 @@ pub const DEFAULTS: &[(&str, &str)] = &[
 ///
 /// let scenario = Scenario::named("push", "{push_m_s: 0.5, at_s: 1.0}")?; // the other parameters have defaults
 /// let script = scenario.script(3, &Config::load("compliant")?)?;
-/// assert_eq!(script.pushes[0].push.linear[0].hypot(script.pushes[0].push.linear[1]), 0.5); // [m/s]
-/// assert!((1.0..1.65).contains(&script.pushes[0].time_s)); // the seed draws the phase of the gait
+/// let push = script.pushes().next().ok_or("no push")?;
+/// assert_eq!(push.linear[0].hypot(push.linear[1]), 0.5); // [m/s]
+/// assert!((1.0..1.65).contains(&push.at_s)); // the seed draws the phase of the gait
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Subcommand, Debug, Clone, PartialEq, Serialize)]
@@ -86,7 +87,7 @@ pub enum Scenario {
     /// Walk without disturbance (E0)
     Walk(Walk),
     /// Push the trunk once or again and again (E1 to E4)
-    Push(PushAway),
+    Push(PushTrunk),
     /// Pull the trunk with a constant force (E5)
     Leash(Leash),
     /// Lead the robot by a leash (E14)
@@ -334,10 +335,7 @@ impl Scenario {
             },
             duration_s: task.duration_s,
             after_fall_s: AFTER_FALL_S,
-            pushes: Vec::new(),
-            pull: None,
-            spring: None,
-            rig: None,
+            disturbances: Vec::new(),
             goal: None,
         };
         self.parts().2.prepare(&mut script, seed)?;

@@ -10,9 +10,10 @@ use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
 use super::{ParameterError, Parameters, Task, in_range, metric};
+use crate::scenario::Script;
 use crate::scenario::metrics::{self, Metric};
 use crate::scenario::trace::{Frame, Trace};
-use crate::scenario::{Script, terrain};
+use crate::sim::terrain;
 use crate::sim::{Buffers, Ground, Patches};
 use crate::util::random::{Purpose, stream};
 
@@ -114,7 +115,7 @@ mod tests {
     use crate::config::Config;
     use crate::robot::same_in_every_leg;
     use crate::scenario::catalog::{Scenario, defaults};
-    use crate::sim::{Push, Sim};
+    use crate::sim::Sim;
 
     /// Returns the mean distance that the feet of a standing robot slide in half a second after a push of 0.5 m/s to
     /// the left \[m\].
@@ -127,7 +128,7 @@ mod tests {
         let mut sim = Sim::new(&script.scene, &config.simulation, 0.1).unwrap();
         let target = same_in_every_leg([0.0, 0.72, -1.44]);
         sim.reset(script.conditions, &target).unwrap();
-        sim.push(&Push { linear: [0.0, 0.5], angular: [0.0; 3] }).unwrap();
+        sim.push([0.0, 0.5], [0.0; 3]).unwrap();
         let middle = |sim: &Sim| {
             let feet = sim.parts().feet();
             feet.iter().map(|foot| sim.data().geom_positions()[3 * foot + 1]).sum::<f64>() / feet.len() as f64

@@ -15,8 +15,8 @@ use super::{ParameterError, Parameters, Task, in_range, lasting, metric, no_turn
 use crate::robot::{Extent, GRAVITY_M_S2};
 use crate::scenario::Script;
 use crate::scenario::metrics::{self, Metric, STRIDE_S};
-use crate::scenario::rig::{Holder, Load, Rig, Shape};
 use crate::scenario::trace::{Frame, Trace};
+use crate::world::disturbance::{Disturbance, Holder, Load, Rig, Shape};
 
 /// Time after the first contact within which the trunk reaches its largest velocity \[s\].
 const LONGEST_BLOW_S: f64 = 0.2;
@@ -99,13 +99,13 @@ impl Pendulum {
         Rig {
             from: None,
             holders: vec![Holder {
-                name: "pivot",
+                name: "pivot".into(),
                 place: at(lowest_m, self.string_m),
                 radius_m: 0.025,
                 has_post: false,
             }],
             load: Load {
-                name: "ball",
+                name: "ball".into(),
                 place: at(lowest_m - away_m, self.release_height_m),
                 mass_kg: self.mass_kg,
                 shape: Shape::Ball(self.radius_m),
@@ -136,7 +136,9 @@ impl Parameters for Pendulum {
         in_range("release-height-m", self.release_height_m, 0.02, self.string_m, "0.02 m to the string's length")?;
         in_range("direction-deg", self.direction_deg, -360.0, 360.0, "-360 to 360 degrees")?;
         in_range("at-s", self.at_s, 0.0, 3600.0, "0 to 3600 s")?;
-        self.rig(&script.scene.robot.trunk).hang_in(script);
+        let rig = self.rig(&script.scene.robot.trunk);
+        rig.hang_in(&mut script.scene);
+        script.disturbances.push(Disturbance::Rig(rig));
         Ok(())
     }
 

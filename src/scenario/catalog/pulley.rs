@@ -13,8 +13,8 @@ use super::{ParameterError, Parameters, Task, in_range, metric, no_turn, towards
 use crate::robot::HARNESS;
 use crate::scenario::Script;
 use crate::scenario::metrics::{self, Metric};
-use crate::scenario::rig::{Holder, Load, Rig, Shape};
 use crate::scenario::trace::{Frame, Trace};
+use crate::world::disturbance::{Disturbance, Holder, Load, Rig, Shape};
 
 /// Density of the weight, a cube of steel [kg/m³].
 const STEEL_KG_M3: f64 = 7850.0;
@@ -69,15 +69,16 @@ impl Pulley {
         let [ahead, left] = self.direction();
         let upper_m = self.distance_m + UPPER_PULLEY_M;
         let at = |distance: f64, height: f64| [ahead * distance, left * distance, height];
-        let pulley = |name, place, has_post| Holder { name, place, radius_m: 0.04, has_post };
+        let pulley =
+            |name: &'static str, place, has_post| Holder { name: name.into(), place, radius_m: 0.04, has_post };
         Rig {
-            from: Some(HARNESS),
+            from: Some(HARNESS.into()),
             holders: vec![
                 pulley("pulley", at(self.distance_m, self.height_m), false),
                 pulley("upper_pulley", at(upper_m, self.upper_height_m()), true),
             ],
             load: Load {
-                name: "weight",
+                name: "weight".into(),
                 place: at(upper_m, self.start_height_m()),
                 mass_kg: self.mass_kg,
                 shape: Shape::Cube(self.half_edge_m()),
@@ -123,7 +124,9 @@ impl Parameters for Pulley {
         let nearest_m = 0.5 + 0.5 * self.approach_m().abs();
         let expected = "0.5 m to 100 m from where the commanded walk leads (half the way of the pull is on each side)";
         in_range("distance-m", self.distance_m, nearest_m, 100.0, expected)?;
-        self.rig().hang_in(script);
+        let rig = self.rig();
+        rig.hang_in(&mut script.scene);
+        script.disturbances.push(Disturbance::Rig(rig));
         Ok(())
     }
 

@@ -5,15 +5,15 @@ use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
 use super::{ParameterError, Parameters, Task, in_range, lasting, metric, towards};
+use crate::scenario::Script;
 use crate::scenario::metrics::{self, Metric, PHASE_S, STRIDE_S};
 use crate::scenario::trace::Trace;
-use crate::scenario::{Script, TimedPush};
-use crate::sim::Push;
 use crate::util::random::{Purpose, stream};
+use crate::world::{Disturbance, Push};
 
 /// Push: a sudden change of the trunk's velocity.
 #[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct PushAway {
+pub struct PushTrunk {
     /// The parameters that every scenario has.
     #[command(flatten)]
     #[serde(flatten)]
@@ -32,7 +32,7 @@ pub struct PushAway {
     pub every_s: f64,
 }
 
-impl Parameters for PushAway {
+impl Parameters for PushTrunk {
     fn prepare(&self, script: &mut Script, seed: u64) -> Result<(), ParameterError> {
         in_range("push-m-s", self.push_m_s, 0.0, 20.0, "0 to 20 m/s")?;
         in_range("direction-deg", self.direction_deg, -360.0, 360.0, "-360 to 360 degrees")?;
@@ -40,27 +40,29 @@ impl Parameters for PushAway {
         if self.every_s != 0.0 {
             in_range("every-s", self.every_s, 0.1, 3600.0, "0.1 to 3600 s, or 0 for a single push")?;
         }
-        let push = Push { linear: towards(self.direction_deg).map(|part| self.push_m_s * part), angular: [0.0; 3] };
+        let linear = towards(self.direction_deg).map(|part| self.push_m_s * part);
+        let push = |at_s| Disturbance::Push(Push { at_s, linear, angular: [0.0; 3] });
         // A push may come at any phase of the gait.
         let phase_s = PHASE_S * stream(seed, Purpose::Scenario, 0, 0).random_range(0.0..1.0);
         let mut time_s = self.at_s + phase_s;
         // The first one also if it would come too late: the script can then say so.
-        script.pushes.push(TimedPush { time_s, push });
+        script.disturbances.push(push(time_s));
         while self.every_s > 0.0 && time_s + self.every_s < script.duration_s {
             time_s += self.every_s;
-            script.pushes.push(TimedPush { time_s, push });
+            script.disturbances.push(push(time_s));
         }
         Ok(())
     }
 
     fn metrics(&self, script: &Script, trace: &Trace, found: &mut Vec<Metric>) {
-        let Some(first) = script.pushes.first() else { return };
+        let mut pushes = script.pushes();
+        let Some(first) = pushes.next() else { return };
         // The numbers are those of the first push, as long as it is the only one.
-        let alone = script.pushes.get(1).map(|second| trace.until(second.time_s));
+        let alone = pushes.next().map(|second| trace.until(second.at_s));
         let trace = alone.as_ref().unwrap_or(trace);
-        let at_s = first.time_s;
+        let at_s = first.at_s;
         let pushed_s = trace.disturbed("push");
-        let decay = |threshold| metrics::decay(trace, at_s, first.push.linear, threshold, STRIDE_S);
+        let decay = |threshold| metrics::decay(trace, at_s, first.linear, threshold, STRIDE_S);
         let [to_10, to_20] = [0.1, 0.2].map(|threshold| decay(threshold).filter(|_| pushed_s.is_some()));
         // Of a whole second or not at all: means over different times are no comparison.
         let second = |from_s: f64| metrics::whole_window(trace, from_s, from_s + 1.0).filter(|_| pushed_s.is_some());

@@ -4,7 +4,8 @@ use clap::{Args, ValueEnum};
 use serde::{Deserialize, Serialize};
 
 use super::{ParameterError, Parameters, Task, in_range};
-use crate::scenario::{Script, terrain};
+use crate::scenario::Script;
+use crate::sim::terrain;
 use crate::sim::{Buffers, Ground};
 
 /// Smallest half-length of height fields along x and y \[m\].

@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 use super::{ParameterError, Parameters, Task, in_range, metric};
 use crate::scenario::Script;
 use crate::scenario::metrics::{self, Metric};
-use crate::scenario::spring::{Spring, SpringEnd};
 use crate::scenario::trace::{Frame, Stretch, Trace};
+use crate::world::disturbance::{Disturbance, Spring, SpringEnd};
 
 /// Duration of the first impact \[s\].
 const BLOW_S: f64 = 1.0;
@@ -35,7 +35,7 @@ impl Parameters for Wall {
         in_range("distance-m", self.distance_m, 0.0, 100.0, "0 to 100 m")?;
         in_range("stiffness-n-per-m", self.stiffness_n_per_m, 1.0, 20_000.0, "1 to 20000 N/m")?;
         in_range("damping-n-s-per-m", self.damping_n_s_per_m, 0.0, 500.0, "0 to 500 N s/m")?;
-        script.spring = Some(Spring {
+        script.disturbances.push(Disturbance::Spring(Spring {
             end: SpringEnd::Wall,
             from_s: 0.0,
             direction: [-1.0, 0.0],
@@ -43,7 +43,7 @@ impl Parameters for Wall {
             gap_m: self.distance_m,
             stiffness_n_per_m: self.stiffness_n_per_m,
             damping_n_s_per_m: self.damping_n_s_per_m,
-        });
+        }));
         Ok(())
     }
 

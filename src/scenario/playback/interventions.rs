@@ -3,8 +3,8 @@
 use super::Playback;
 use crate::mujoco;
 use crate::policy::Controller;
-use crate::sim::Push;
-use crate::task::{Command, SwingTracker};
+use crate::task::Command;
+use crate::world::{Disturbance, Push};
 
 impl<'a> Playback<'a> {
     /// Returns the present command.
@@ -17,14 +17,16 @@ impl<'a> Playback<'a> {
         self.command = command;
     }
 
-    /// Pushes the trunk at the next step.
-    pub fn push(&mut self, push: Push) {
-        self.pushes_due.push(push);
+    /// Pushes the trunk at the next step: change of velocity, forward and left in the heading frame [m/s].
+    pub fn push(&mut self, linear: [f64; 2]) {
+        let at_s = self.world.time_s();
+        // A push needs no part of the scene.
+        let _ = self.world.disturb(Disturbance::Push(Push { at_s, linear, angular: [0.0; 3] }));
     }
 
     /// Pulls the trunk with a constant force, forward and left in the heading frame \[N\]; `None` ends the pull.
     pub fn pull(&mut self, force: Option<[f64; 2]>) {
-        self.pull = force;
+        self.world.pull_by_hand(force);
     }
 
     /// Holds the script's clock at zero, for a robot that first has to get up: until it is released, there are no disturbances
@@ -44,7 +46,7 @@ impl<'a> Playback<'a> {
     /// # Errors
     /// MuJoCo fails in the new state.
     pub fn set_on_feet(&mut self) -> mujoco::Result<()> {
-        self.sim.set_on_feet(&self.controller.rest())?;
+        self.world.set_on_feet(&self.controller.rest())?;
         self.begin_again();
         Ok(())
     }
@@ -54,9 +56,7 @@ impl<'a> Playback<'a> {
     /// # Errors
     /// MuJoCo fails in the starting state.
     pub fn restart(&mut self) -> mujoco::Result<()> {
-        self.sim.reset(self.script.conditions, &self.controller.rest())?;
-        // The reset clears the force of an interactive pull; the next step applies it again.
-        self.pull_force = None;
+        self.world.restart(self.script.conditions, &self.controller.rest())?;
         self.passed_goal_since = None;
         self.begin_again();
         Ok(())
@@ -68,16 +68,13 @@ impl<'a> Playback<'a> {
     }
 
     fn begin_again(&mut self) {
-        self.state = self.sim.state();
         if let Some(force_sense) = &mut self.force_sense {
-            force_sense.reset(&self.sim, &self.script.conditions);
+            force_sense.reset(self.world.sim(), &self.script.conditions);
         }
         (self.felt, self.true_force) = Default::default();
-        self.swings = SwingTracker::new(&self.state.feet, self.config.reward.foot_height_m);
         self.fallen_since = None;
         self.failed = false;
         self.last_disturbance = None;
-        self.shown_push = None;
         self.controller_must_begin = true;
     }
 }

@@ -17,7 +17,7 @@ use crate::policy::Agent;
 use crate::policy::compliance::ComplianceError;
 use crate::scenario::trace::{Event, EventKind, Frame};
 use crate::scenario::{Playback, Script};
-use crate::sim::{Push, Scene};
+use crate::sim::Scene;
 use crate::task::Command;
 use crate::util::files;
 
@@ -225,7 +225,7 @@ impl LiveSession {
             }),
             Act::Push { size, unit } => self.rollouts().for_each(|rollout| {
                 let linear = unit.velocity(*size, rollout.sim().robot().mass_kg);
-                rollout.push(Push { linear, angular: [0.0; 3] });
+                rollout.push(linear);
             }),
             Act::Pull(force) => self.rollouts().for_each(|rollout| rollout.pull(*force)),
             Act::Comply { robot, compliance } => {

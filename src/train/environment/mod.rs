@@ -18,43 +18,35 @@ use serde::{Deserialize, Serialize};
 pub use report::{EnvStep, EpisodeEnd, EpisodeFault, EpisodeReport};
 
 use super::TrainError;
-use super::held_feet::{HeldFeet, Pins};
-use super::step_meter::{FootForces, StepMeter};
 use super::terrain::{self, Course, Kind};
-use crate::config::{Config, Reward, ValueError};
+use super::{Curriculum, EpisodePlan};
+use crate::config::{Config, ValueError};
 use crate::mujoco;
 use crate::observation::{Command, Layout, Moment, Observer, Privileged};
-use crate::robot::{JOINTS, Joints, LEGS, Robot, RobotState, joint_target};
+use crate::robot::{JOINTS, Joints, Robot, joint_target};
 use crate::sim::last_second::LastSecond;
-use crate::sim::{Ground, HeightField, Scene, Sim, SimState};
-use crate::task::deviation::HoldSpring;
-use crate::task::reward;
-use crate::task::{Curriculum, EpisodePlan, Stage, Stages, SwingTracker, Terms};
+use crate::sim::{Ground, HeightField, Scene, Sim};
+use crate::task::{Stage, Stages, Terms};
 use crate::util::random::{Purpose, stream};
+use crate::world::{World, WorldState, WorldStep};
 
 /// Progress of an episode, saved with the environment.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct EpisodeState {
     plan: EpisodePlan,
-    step: usize,
     /// Number of earlier episodes.
     episode: u64,
     /// Length of the first episode \[steps\]; staggers the environments.
     cut: usize,
-    pushed: bool,
     reward: f64,
     terms: Terms,
     walking: Terms,
-    swings: SwingTracker,
     swing_sum_m: f64,
     swing_count: usize,
     observer: Observer,
     #[serde(default, skip_serializing_if = "Observer::is_empty")]
     critic_observer: Observer,
     last_action: Joints,
-    last_target: Joints,
-    #[serde(default, skip_serializing_if = "Pins::is_free")]
-    pins: Pins,
     /// The way on uneven ground; `None` on a plane.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     course: Option<Course>,
@@ -63,7 +55,7 @@ struct EpisodeState {
 /// Complete state of an environment, from which it continues with the same bits.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EnvState {
-    sim: SimState,
+    world: WorldState,
     progress: EpisodeState,
 }
 
@@ -119,8 +111,7 @@ impl Shared {
 ///
 /// ```
 /// use supple::config::Config;
-/// use supple::task::Curriculum;
-/// use supple::train::environment::LocomotionEnv;
+/// use supple::train::{Curriculum, environment::LocomotionEnv};
 ///
 /// let (seed, index) = (0, 0);
 /// let mut env = LocomotionEnv::new(&Config::load("fast")?, seed, index, Curriculum::complete())?;
@@ -137,14 +128,12 @@ pub struct LocomotionEnv {
     config: Config,
     shared: Shared,
     stages: Stages,
-    /// The reward's settings on the ground of this environment.
-    reward: Reward,
     /// Number of levels of uneven ground; `None` on a plane.
     levels: Option<usize>,
     nominal: Joints,
     seed: u64,
     index: u64,
-    sim: Sim,
+    world: World,
     progress: EpisodeState,
     /// The last second, for fault reports. It is not saved: nothing depends on it, and it is empty after a resumption.
     last_second: LastSecond,
@@ -180,14 +169,13 @@ impl LocomotionEnv {
             reward.tracking_sharpness *= terrain.sharpness_factor;
         }
         let levels = uneven.map(|(terrain, _)| terrain.levels);
-        let sim = Sim::new(&scene, &config.simulation, config.episode.min_height_m)?;
+        let world = World::new(&scene, &config.simulation, config.episode.min_height_m, reward)?;
         let stages = Stages::new(&config.episode, &config.simulation);
         let nominal = config.action.nominal_pose_rad.joints();
         let cut = first_cut(seed, index, &stages);
         let mut env = LocomotionEnv {
             progress: start(config, seed, index, 0, curriculum, cut, levels.map(|_| Course::new(0))),
             config: config.clone(),
-            reward,
             levels,
             shared: shared.clone(),
             stages,
@@ -196,10 +184,10 @@ impl LocomotionEnv {
             index,
             last_second: LastSecond::new(
                 config.simulation.policy_rate_hz as usize,
-                sim.data().model().nq(),
-                sim.data().model().nv(),
+                world.sim().data().model().nq(),
+                world.sim().data().model().nv(),
             ),
-            sim,
+            world,
         };
         env.begin()?;
         Ok(env)
@@ -237,36 +225,36 @@ impl LocomotionEnv {
     }
 
     fn begin(&mut self) -> mujoco::Result<()> {
-        if let Some(dynamics) = &self.progress.plan.dynamics {
-            self.sim.set_dynamics(dynamics)?;
+        let plan = &mut self.progress.plan;
+        if let Some(dynamics) = &plan.dynamics {
+            self.world.set_dynamics(dynamics)?;
         }
         if let (Some(course), Some(terrain)) = (self.progress.course, &self.config.terrain) {
-            self.sim.set_start(terrain.start(course.level));
+            self.world.sim_mut().set_start(terrain.start(course.level));
         }
-        self.sim.reset(self.progress.plan.conditions, &self.nominal)?;
+        self.world.begin(plan.conditions, &self.nominal, std::mem::take(&mut plan.disturbances))?;
         self.last_second.clear();
-        let state = self.sim.state();
-        self.progress.swings = SwingTracker::new(&state.feet, self.config.reward.foot_height_m);
-        self.observe(&state, [Vector3::zeros(); 4]);
+        self.observe([Vector3::zeros(); 4]);
         Ok(())
     }
 
     /// Measures the observations of policy and critic; `foot_forces` are means over the last policy step, world frame
     /// \[N\].
-    fn observe(&mut self, state: &RobotState, foot_forces: [Vector3<f64>; 4]) {
-        let privileged = self.shared.critic.is_some().then(|| self.privileged(state, foot_forces));
-        let p = &mut self.progress;
+    fn observe(&mut self, foot_forces: [Vector3<f64>; 4]) {
+        let privileged = self.shared.critic.is_some().then(|| self.privileged(foot_forces));
+        let (p, world) = (&mut self.progress, &self.world);
+        let state = world.state();
         let seen = p.plan.imu.map(|imu| {
-            let mut rng = stream(self.seed, Purpose::Imu, self.index, p.episode << 24 | p.step as u64);
+            let mut rng = stream(self.seed, Purpose::Imu, self.index, p.episode << 24 | world.steps() as u64);
             imu.seen(state, &mut rng)
         });
         let now = Moment {
             state: seen.as_ref().unwrap_or(state),
             command: &p.plan.command,
             last_action: &p.last_action,
-            last_target: &p.last_target,
+            last_target: world.last_target(),
             nominal: &self.nominal,
-            time_s: p.step as f64 * self.config.simulation.policy_period_s(),
+            time_s: world.time_s(),
             privileged: Privileged::default(),
         };
         p.observer.measure(&self.shared.layout, &now);
@@ -276,18 +264,17 @@ impl LocomotionEnv {
     }
 
     /// Returns what only the simulator knows before the coming policy step.
-    fn privileged(&self, state: &RobotState, foot_forces: [Vector3<f64>; 4]) -> Privileged {
-        let p = &self.progress;
+    fn privileged(&self, foot_forces: [Vector3<f64>; 4]) -> Privileged {
+        let (plan, state) = (&self.progress.plan, self.world.state());
         let base_from_world = state.world_from_base.inverse();
-        let [x, y] = p.plan.force(p.step as f64 * self.config.simulation.policy_period_s());
-        let dynamics = p.plan.dynamics;
-        let push = p.plan.push.filter(|_| p.step == self.stages.recovery_start).unwrap_or_default();
+        let dynamics = plan.dynamics;
+        let [forward, left] = self.world.coming_push().map_or([0.0; 2], |push| push.linear);
         Privileged {
             foot_forces: foot_forces.map(|force| base_from_world * force),
-            friction: p.plan.conditions.friction,
-            encoder_bias: p.plan.conditions.encoder_bias,
-            pull: base_from_world * Vector3::new(x, y, 0.0),
-            push: base_from_world * (state.heading() * Vector3::new(push.linear[0], push.linear[1], 0.0)),
+            friction: plan.conditions.friction,
+            encoder_bias: plan.conditions.encoder_bias,
+            pull: base_from_world * self.world.coming_pull(),
+            push: base_from_world * (state.heading() * Vector3::new(forward, left, 0.0)),
             trunk_mass_kg: dynamics.map_or(0.0, |dynamics| dynamics.trunk_mass_kg),
             trunk_offset_m: dynamics.map_or([0.0; 3], |dynamics| dynamics.trunk_offset_m).into(),
             latency_s: dynamics.map_or(self.config.simulation.latency_s, |dynamics| dynamics.latency_s),
@@ -301,10 +288,10 @@ impl LocomotionEnv {
 
     /// Returns the memory of the simulation \[bytes\].
     pub fn simulation_bytes(&self) -> usize {
-        self.sim.data().bytes()
+        self.world.sim().data().bytes()
     }
 
-    /// Returns the random part of this episode: command, conditions, push and pulls.
+    /// Returns the random part of this episode, but for the disturbances, which are [planned](World::planned) in the world.
     pub fn plan(&self) -> &EpisodePlan {
         &self.progress.plan
     }
@@ -367,10 +354,10 @@ impl LocomotionEnv {
                     error: error.to_string(),
                     environment: self.index,
                     episode: self.progress.episode,
-                    step: self.progress.step,
+                    step: self.world.steps(),
                     last_second: self.last_second.csv(),
                 };
-                let stage = self.stages.at(self.progress.step);
+                let stage = self.stages.at(self.world.steps());
                 let step = EnvStep { reward: 0.0, end: Some(EpisodeEnd::Fault), stage, terms: Terms::default() };
                 (step, Some(self.report(EpisodeEnd::Fault, Some(Box::new(fault)))))
             }
@@ -381,52 +368,12 @@ impl LocomotionEnv {
         let scale = self.config.action.scale_rad;
         let target: Joints =
             std::array::from_fn(|joint| joint_target(self.nominal[joint], scale, f64::from(action[joint])));
-        self.last_second.note(self.sim.data().positions(), self.sim.data().velocities(), &target);
-        let stage = self.stages.at(self.progress.step);
-        let mut from_outside = Vector3::zeros();
-        if self.progress.step == self.stages.recovery_start {
-            // Without a push the episode ended with the step before.
-            if let Some(push) = &self.progress.plan.push {
-                let [forward, left] = push.linear;
-                let impulse =
-                    self.sim.robot().mass_kg * (self.sim.state().heading() * Vector3::new(forward, left, 0.0));
-                from_outside += impulse / self.config.simulation.policy_period_s();
-                self.sim.push(push)?;
-                self.progress.pushed = true;
-            }
-        }
-        if self.config.pulls.is_some() {
-            let time_s = self.progress.step as f64 * self.config.simulation.policy_period_s();
-            let force = self.progress.plan.force(time_s);
-            let pull = Vector3::new(force[0], force[1], 0.0);
-            self.sim.set_trunk_force(pull);
-            from_outside += pull;
-        }
-        let EpisodeState { plan, step, swings, pins, .. } = &mut self.progress;
-        let period_s = self.config.simulation.policy_period_s();
-        let held_feet = self.config.held_feet.as_ref().map(|held| {
-            let spring = HoldSpring { force_n: held.force_n, stiffness_n_per_m: held.stiffness_n_per_m };
-            HeldFeet::new(&plan.holds, *step as f64 * period_s, spring, pins)
-        });
-        let foot_forces = self.shared.critic.is_some().then(FootForces::default);
-        let mut meter = StepMeter { swings, foot_forces, held_feet };
-        let summary = self.sim.step(&target, &mut meter)?;
-        let foot_forces = meter.foot_forces.map_or([Vector3::zeros(); 4], |forces| forces.mean());
-        let mut state = self.sim.state();
-        // What an observer of forces would find, without its cost.
-        let felt = state.heading().inverse() * from_outside;
-        state.felt_force = Some([felt.x, felt.y]);
-
+        let data = self.world.sim().data();
+        self.last_second.note(data.positions(), data.velocities(), &target);
+        let stage = self.stages.at(self.world.steps());
+        let WorldStep { summary, terms, landings, forces, .. } =
+            self.world.step(&target, &self.progress.plan.command, |_, _, _| ())?;
         let p = &mut self.progress;
-        let landings = p.swings.take();
-        let step = reward::RewardInput {
-            state: &state,
-            command: &p.plan.command,
-            summary: &summary,
-            landings: &landings,
-            config: &self.reward,
-        };
-        let terms = Terms::new(&step);
         p.terms.add(&terms);
         p.swing_sum_m += landings.peak_sum_m;
         p.swing_count += landings.count;
@@ -438,15 +385,14 @@ impl LocomotionEnv {
             }
             Stage::Recovery | Stage::PostRecovery => {}
         }
-        let reward = paid.total(&self.reward);
+        let reward = paid.total(self.world.reward());
         p.reward += reward;
-        p.step += 1;
         if let Some(course) = &mut p.course {
-            course.advance(&state, &p.plan.command, period_s, summary.fall.is_some());
+            let period_s = self.config.simulation.policy_period_s();
+            course.advance(self.world.state(), &p.plan.command, period_s, summary.fall.is_some());
         }
         p.last_action = std::array::from_fn(|joint| f64::from(action[joint]));
-        p.last_target = target;
-        self.observe(&state, foot_forces);
+        self.observe(forces.feet);
 
         let end = self.end(summary.fall.is_some());
         let report = end.map(|end| self.report(end, None));
@@ -454,11 +400,12 @@ impl LocomotionEnv {
     }
 
     fn end(&self, fell: bool) -> Option<EpisodeEnd> {
-        let p = &self.progress;
-        let last = if p.plan.push.is_some() { self.stages.end } else { self.stages.recovery_start };
+        // Without a push, the episode is over after the walking stage.
+        let is_pushed = self.world.pushes().next().is_some();
+        let last = if is_pushed { self.stages.end } else { self.stages.recovery_start };
         if fell {
             Some(EpisodeEnd::Fall)
-        } else if p.step >= last.min(p.cut) {
+        } else if self.world.steps() >= last.min(self.progress.cut) {
             Some(EpisodeEnd::TimeLimit)
         } else {
             None
@@ -467,11 +414,11 @@ impl LocomotionEnv {
 
     fn report(&self, end: EpisodeEnd, fault: Option<Box<EpisodeFault>>) -> EpisodeReport {
         let p = &self.progress;
-        let walked = p.step >= self.stages.recovery_start;
+        let walked = self.world.steps() >= self.stages.recovery_start;
         EpisodeReport {
             end,
-            steps: p.step,
-            pushed: p.pushed,
+            steps: self.world.steps(),
+            pushed: self.world.pushes().any(|(_, is_done)| is_done),
             reward: p.reward,
             terms: p.terms,
             walking_linear: walked.then(|| p.walking.linear_velocity() / self.stages.recovery_start as f64),
@@ -481,9 +428,14 @@ impl LocomotionEnv {
         }
     }
 
+    /// Returns the world: the robot, and what disturbs it.
+    pub fn world(&self) -> &World {
+        &self.world
+    }
+
     /// Returns the simulation, to be inspected or disturbed.
     pub fn sim_mut(&mut self) -> &mut Sim {
-        &mut self.sim
+        self.world.sim_mut()
     }
 
     /// Replaces the observation by another one of the same quantities.
@@ -494,7 +446,7 @@ impl LocomotionEnv {
 
     /// Returns the state from which the environment continues with the same bits.
     pub fn save(&self) -> EnvState {
-        EnvState { sim: self.sim.save(), progress: self.progress.clone() }
+        EnvState { world: self.world.save(), progress: self.progress.clone() }
     }
 
     /// Restores a saved state.
@@ -504,9 +456,9 @@ impl LocomotionEnv {
     pub fn restore(&mut self, state: &EnvState) -> mujoco::Result<()> {
         self.check(&state.progress)?;
         if let Some(dynamics) = &state.progress.plan.dynamics {
-            self.sim.set_dynamics(dynamics)?;
+            self.world.set_dynamics(dynamics)?;
         }
-        self.sim.restore(&state.sim)?;
+        self.world.restore(&state.world)?;
         self.last_second.clear();
         self.progress = state.progress.clone();
         let fits_critic = |layout: &Arc<Layout>| self.progress.critic_observer.fits(layout);
@@ -524,9 +476,6 @@ impl LocomotionEnv {
             && !(0.0..=1.0).contains(&latency_s)
         {
             return refuse(format!("its latency_s is {latency_s}, expected 0 to 1 s"));
-        }
-        if let Some(hold) = plan.holds.iter().find(|hold| hold.leg >= LEGS.len()) {
-            return refuse(format!("it holds the foot of leg {}, expected 0 to {}", hold.leg, LEGS.len() - 1));
         }
         if let (Some(course), Some(levels)) = (progress.course, self.levels)
             && course.level >= levels
@@ -558,21 +507,16 @@ fn start(
     let plan = EpisodePlan::draw(config, curriculum, &mut stream(seed, Purpose::Episode, index, episode));
     EpisodeState {
         plan,
-        step: 0,
         episode,
         cut,
-        pushed: false,
         reward: 0.0,
         terms: Terms::default(),
         walking: Terms::default(),
-        swings: SwingTracker::default(),
         swing_sum_m: 0.0,
         swing_count: 0,
         observer: Observer::new(),
         critic_observer: Observer::new(),
         last_action: [0.0; JOINTS],
-        last_target: config.action.nominal_pose_rad.joints(),
-        pins: Pins::default(),
         course,
     }
 }

@@ -3,8 +3,15 @@
 use super::*;
 use crate::config::{Pulls, Terrain};
 use crate::observation::{Observed, Quantity};
-use crate::sim::{Pull, Push};
-use crate::task::deviation::Hold;
+use crate::robot::RobotState;
+use crate::world::{Disturbance, Hold, Pull, Push};
+
+/// Gives the present episode, which has just begun, other disturbances.
+fn replan<const N: usize>(env: &mut LocomotionEnv, disturbances: [Disturbance; N]) {
+    env.progress.plan.disturbances = disturbances.into();
+    (env.progress.observer, env.progress.critic_observer) = (Observer::new(), Observer::new());
+    env.begin().unwrap();
+}
 
 /// Returns an action of a clumsy trot.
 fn action(step: usize) -> [f32; 12] {
@@ -138,7 +145,7 @@ fn critic_sees_the_weight_on_the_feet_of_a_standing_robot() {
     (0..29).for_each(|_| drop(env.step(&[0.0; 12])));
     let seen = added(&env);
     let up: f32 = seen[..12].iter().skip(2).step_by(3).sum();
-    let weight = (9.81 * env.sim.robot().mass_kg) as f32;
+    let weight = (9.81 * env.world.sim().robot().mass_kg) as f32;
     assert!((up / weight - 1.0).abs() < 0.02, "{up} of {weight} N");
     assert!(seen[12..].iter().all(|height| height.abs() < 0.005), "{seen:?}");
 }
@@ -150,17 +157,18 @@ fn critic_sees_the_push_when_it_comes_and_the_encoder_bias_always() {
     let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
     env.without_stagger();
     let plan = env.plan().clone();
-    let ([forward, left], bias) = (plan.push.unwrap().linear, plan.conditions.encoder_bias);
+    let (push, bias) = (*env.world.pushes().next().unwrap().0, plan.conditions.encoder_bias);
+    let [forward, left] = push.linear;
     for step in 0..32 {
-        let (seen, state) = (added(&env), env.sim.state());
+        let (seen, state) = (added(&env), env.world.sim().state());
         let size = seen[0].hypot(seen[1]).hypot(seen[2]);
         let expected = if step == 30 { forward.hypot(left) as f32 } else { 0.0 };
         assert!((size - expected).abs() < 1e-6, "step {step}: {size} instead of {expected}");
         assert_eq!(seen[3..15], bias.map(|bias| bias as f32));
         assert_eq!(seen[15], plan.conditions.friction as f32);
         if step == 30 {
-            env.sim.push(&plan.push.unwrap()).unwrap();
-            let change = env.sim.state().velocity_in_base - state.velocity_in_base;
+            env.sim_mut().push(push.linear, push.angular).unwrap();
+            let change = env.world.sim().state().velocity_in_base - state.velocity_in_base;
             let expected = [change.x as f32, change.y as f32, change.z as f32];
             assert!((0..3).all(|k| (seen[k] - expected[k]).abs() < 1e-6), "{seen:?} {expected:?}");
         }
@@ -174,7 +182,7 @@ fn critic_sees_the_pull_that_acts() {
     config.pulls = Some(pulls());
     let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
     env.without_stagger();
-    env.progress.plan.pulls = vec![Pull { from_s: 0.09, until_s: 0.19, force: [3.0, 4.0] }];
+    replan(&mut env, [Disturbance::Pull(Pull::constant([0.09, 0.19], [3.0, 4.0]))]);
     // Steps begin every 1/60 s: 6 to 11 lie in between.
     for step in 0..20 {
         let size = added(&env).iter().map(|force| force * force).sum::<f32>().sqrt();
@@ -204,7 +212,7 @@ fn a_real_robot_is_heavier_or_later_as_its_plan_says() {
     let mut config = Config::load("real").unwrap();
     config.episode.walking_s = 0.5;
     let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
-    let mass = |env: &LocomotionEnv| env.sim.data().model().body_mass().iter().sum::<f64>();
+    let mass = |env: &LocomotionEnv| env.world.sim().data().model().body_mass().iter().sum::<f64>();
     let nominal = LocomotionEnv::new(&Config::load("fast").unwrap(), 1, 0, Curriculum::complete()).unwrap();
     let mut differences = Vec::new();
     for _ in 0..4 {
@@ -212,10 +220,10 @@ fn a_real_robot_is_heavier_or_later_as_its_plan_says() {
         assert!((mass(&env) - mass(&nominal) - dynamics.trunk_mass_kg).abs() < 1e-9);
         differences.push(dynamics.trunk_mass_kg);
         // The joint stays where it is until its target acts: the latency in steps of 1/240 s.
-        let start = env.sim.state().joint_rates[2];
+        let start = env.world.sim().state().joint_rates[2];
         let moved = (0..4).find(|_| {
             env.step(&[3.0; 12]);
-            (env.sim.state().joint_rates[2] - start).abs() > 1.0
+            (env.world.sim().state().joint_rates[2] - start).abs() > 1.0
         });
         assert_eq!(moved, Some((dynamics.latency_s * 60.0).floor() as usize), "{dynamics:?}");
         env.reset(Curriculum::complete()).unwrap();
@@ -231,7 +239,7 @@ fn policy_sees_inertial_errors_and_critic_does_not() {
     let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
     let bias = env.plan().imu.unwrap().gyro_bias_rad_s;
     for step in 0..20 {
-        let (seen, true_rate) = (env.observation(), env.sim.state().angular_velocity_in_base);
+        let (seen, true_rate) = (env.observation(), env.world.sim().state().angular_velocity_in_base);
         // Left, up, forward, after height, gravity, joint angles and velocity.
         for (k, axis) in [1, 2, 0].into_iter().enumerate() {
             assert!((seen[46 + 19 + k] - true_rate[axis] - bias[axis]).abs() < 1e-12, "step {step}");
@@ -248,9 +256,11 @@ fn a_held_foot_stays_behind_until_it_is_lifted() {
     let swung_m = |height_m: f64| {
         let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
         env.without_stagger();
-        env.progress.plan.pulls.clear();
-        env.progress.plan.holds = vec![Hold { leg: 0, from_s: 0.0, until_s: 1.0, height_m }];
-        let place = |env: &LocomotionEnv| env.sim.parts().foot_centres(env.sim.data())[0];
+        let (force_n, stiffness_n_per_m) =
+            config.held_feet.as_ref().map(|it| (it.force_n, it.stiffness_n_per_m)).unwrap();
+        let hold = Hold { leg: 0, from_s: 0.0, until_s: 1.0, height_m, force_n, stiffness_n_per_m };
+        replan(&mut env, [Disturbance::Hold(hold)]);
+        let place = |env: &LocomotionEnv| env.world.sim().parts().foot_centres(env.world.sim().data())[0];
         let start = place(&env);
         // The front right foot is lifted, then swung forward.
         for step in 0..16 {
@@ -270,10 +280,10 @@ fn every_level_of_the_terrain_starts_on_its_own_tile() {
     let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
     for level in [0, 1, 2] {
         assert_eq!(env.progress.course.unwrap().level, level);
-        let position = env.sim.state().position;
+        let position = env.world.sim().state().position;
         assert!((position.x - 8.0 * (level as f64 - 1.0)).abs() < 1e-9 && position.y == 0.0);
-        assert!((env.sim.state().height - env.sim.robot().stand[2]).abs() < 1e-9);
-        assert_eq!(env.reward.tracking_sharpness, 0.33 * config.reward.tracking_sharpness);
+        assert!((env.world.sim().state().height - env.world.sim().robot().stand[2]).abs() < 1e-9);
+        assert_eq!(env.world.reward().tracking_sharpness, 0.33 * config.reward.tracking_sharpness);
         // As if it had walked where it should.
         let mut course = Course::new(level);
         let state = RobotState { velocity_in_base: Vector3::x(), ..RobotState::default() };
@@ -302,8 +312,9 @@ fn pulls_and_pushes_are_felt_in_the_step_in_which_they_act() {
     config.episode.slope = 0.0;
     let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
     env.without_stagger();
-    env.progress.plan.pulls = vec![Pull { from_s: 0.01, until_s: 0.1, force: [3.0, -4.0] }];
-    env.progress.plan.push = Some(Push { linear: [0.01, 0.2], angular: [0.0; 3] });
+    let push = Push { at_s: config.episode.walking_s, linear: [0.01, 0.2], angular: [0.0; 3] };
+    let pull = Pull::constant([0.01, 0.1], [3.0, -4.0]);
+    replan(&mut env, [Disturbance::Push(push), Disturbance::Pull(pull)]);
     let felt = |env: &mut LocomotionEnv| {
         env.step(&[0.0; 12]);
         let [forward, left, _] = *env.observation().first_chunk().unwrap();
@@ -313,7 +324,7 @@ fn pulls_and_pushes_are_felt_in_the_step_in_which_they_act() {
     // The heading has hardly changed.
     let [forward, left] = felt(&mut env);
     assert!((forward - 3.0).abs() < 0.1 && (left + 4.0).abs() < 0.1, "{forward}, {left}");
-    while env.progress.step < env.stages.recovery_start {
+    while env.world.steps() < env.stages.recovery_start {
         felt(&mut env);
     }
     // 13.1 kg · 0.01 m/s · 60 /s, and beyond what is observed.
@@ -327,9 +338,9 @@ fn a_pull_moves_the_trunk() {
     (config.command.forward_m_s, config.command.left_m_s, config.episode.slope) = (0.0, 0.0, 0.0);
     let left_m = |force: [f64; 2]| {
         let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
-        env.progress.plan.pulls = vec![Pull { from_s: 0.0, until_s: 10.0, force }];
+        replan(&mut env, [Disturbance::Pull(Pull::constant([0.0, 10.0], force))]);
         (0..30).for_each(|_| drop(env.step(&[0.0; 12])));
-        env.sim.state().position.y
+        env.world.sim().state().position.y
     };
     assert!(left_m([0.0, 20.0]) > left_m([0.0; 2]) + 0.001);
 }

@@ -7,14 +7,16 @@ at the start of the playback would miss a robot that walks: in two or three seco
 more than a trunk is wide.
 */
 
-use nalgebra::{Rotation2, Vector2};
+use std::borrow::Cow;
 
-use super::Script;
+use nalgebra::{Rotation2, Vector2, Vector3};
+use serde::{Deserialize, Serialize};
+
+use super::{Event, StepTime};
 use crate::mujoco::{self, Data, Kind};
+use crate::observation::Command;
 use crate::robot::RobotState;
-use crate::scenario::trace::{Event, EventKind, Rope};
-use crate::sim::{Buffers, Sim};
-use crate::task::Command;
+use crate::sim::{Buffers, Scene, Sim};
 
 /// Name of the rope's tendon.
 const ROPE: &str = "rope";
@@ -27,10 +29,10 @@ const ENDLESS_M: f64 = 1000.0;
 const ROPE_LIMIT: &str = r#"limited="true" range="0 1000" solreflimit="0.01 1" solimplimit="0.95 0.99 0.001""#;
 
 /// A rope with a load, and the time in which it acts.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Rig {
     /// Site of the robot where the rope begins; `None` if it begins at the first holder.
-    pub from: Option<&'static str>,
+    pub from: Option<Cow<'static, str>>,
     /// Holders that the rope passes over, in order from the robot.
     pub holders: Vec<Holder>,
     /// Load at the end of the rope.
@@ -48,10 +50,10 @@ pub struct Rig {
 }
 
 /// A bead that supports the rope and collides with nothing. Its body and its site have its name.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Holder {
     /// Name of the holder's body and site.
-    pub name: &'static str,
+    pub name: Cow<'static, str>,
     /// Position relative to the aim: ahead, left, height \[m\].
     pub place: [f64; 3],
     /// Radius of the bead in drawings \[m\].
@@ -61,10 +63,10 @@ pub struct Holder {
 }
 
 /// A free body at the rope's end. Its joint, geometry and site have its name, too.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Load {
     /// Name of the load, also used in events.
-    pub name: &'static str,
+    pub name: Cow<'static, str>,
     /// Position at the release, relative to the aim: ahead, left, height \[m\].
     pub place: [f64; 3],
     /// Mass of the load \[kg\].
@@ -74,7 +76,8 @@ pub struct Load {
 }
 
 /// Shape of a load.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Shape {
     /// A cube of half this edge \[m\].
     Cube(f64),
@@ -83,17 +86,17 @@ pub enum Shape {
 }
 
 impl Rig {
-    /// Adds the rig to a script.
-    pub(super) fn hang_in(self, script: &mut Script) {
-        script.scene.obstacles = self.bodies();
-        script.scene.extras = self.rope();
-        script.scene.buffers = Buffers { contacts: 64, rows: 400, stack: 100_000 };
-        script.rig = Some(self);
+    /// Adds the rig's bodies and its rope to a scene.
+    pub fn hang_in(&self, scene: &mut Scene) {
+        scene.obstacles = self.bodies();
+        scene.extras = self.rope();
+        scene.buffers = Buffers { contacts: 64, rows: 400, stack: 100_000 };
     }
 
     /// Iterates over the sites that the rope passes through.
-    fn path(&self) -> impl Iterator<Item = &'static str> {
-        self.from.into_iter().chain(self.holders.iter().map(|holder| holder.name)).chain([self.load.name])
+    fn path(&self) -> impl Iterator<Item = &str> {
+        let holders = self.holders.iter().map(|holder| &holder.name);
+        self.from.iter().chain(holders).chain([&self.load.name]).map(Cow::as_ref)
     }
 
     /// Returns the MJCF of holders and load.
@@ -144,16 +147,30 @@ impl Rig {
     }
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// A rope with a load in a policy step.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Rope {
+    /// Points of the rope from end to end over pulleys, world frame \[m\].
+    pub points: Vec<[f32; 3]>,
+    /// Pulling force, mean over the step's physics steps \[N\].
+    pub force_n: f64,
+    /// Largest pulling force in the step \[N\].
+    pub peak_force_n: f64,
+    /// Smallest pulling force in the step, never below zero \[N\].
+    pub least_force_n: f64,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 enum Phase {
     Carried,
     Free,
     Off,
 }
 
-/// The state of a rig during a playback.
-#[derive(Debug)]
-pub(super) struct RigState {
+/// What a rig remembers.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(in crate::world) struct Memory {
     tendon: usize,
     load: usize,
     load_geom: usize,
@@ -167,13 +184,15 @@ pub(super) struct RigState {
     is_grounded: bool,
     /// Speed of the load before the step [m/s].
     speed_m_s: f64,
+    #[serde(skip)] // Empty between policy steps.
+    forces: RopeForces,
 }
 
-impl RigState {
+impl Memory {
     /// Looks up the rig's parts in the model.
     pub(super) fn new(rig: &Rig, sim: &Sim) -> mujoco::Result<Self> {
         let model = sim.data().model();
-        let load = rig.load.name;
+        let load = &rig.load.name;
         let joint = model.id(Kind::Joint, load)?;
         let holder = |name: &str| {
             let body = model.id(Kind::Body, name)?;
@@ -183,69 +202,64 @@ impl RigState {
                 known: "bodies with mocap=\"true\"".to_owned(),
             })
         };
-        Ok(RigState {
+        Ok(Memory {
             tendon: model.id(Kind::Tendon, ROPE)?,
             load: model.id(Kind::Body, load)?,
             load_geom: model.id(Kind::Geom, load)?,
             load_position: model.joint_position_index(joint),
             load_velocity: model.joint_velocity_index(joint),
-            holders: rig.holders.iter().map(|it| holder(it.name)).collect::<mujoco::Result<_>>()?,
+            holders: rig.holders.iter().map(|it| holder(&it.name)).collect::<mujoco::Result<_>>()?,
             sites: rig.path().map(|name| model.id(Kind::Site, name)).collect::<mujoco::Result<_>>()?,
             phase: Phase::Carried,
             has_hit: false,
             is_grounded: false,
             speed_m_s: 0.0,
+            forces: RopeForces::default(),
         })
     }
 
-    /// Returns the id of the rope's tendon.
-    pub(super) fn tendon(&self) -> usize {
-        self.tendon
+    /// Notes the rope's force in a physics step.
+    pub(in crate::world) fn measure(&mut self, data: &Data) {
+        self.forces.add(data.tendon_limit_force(self.tendon));
     }
 
-    /// Carries the rig, releases the load or removes the rope, as is due before the step at `time_s`.
+    /// Carries the rig, releases the load or removes the rope, as is due before the policy step that begins at `at`.
     pub(super) fn before_step(
         &mut self,
         rig: &Rig,
-        script: &Script,
+        at: StepTime,
+        command: &Command,
         sim: &mut Sim,
-        time_s: f64,
         events: &mut Vec<Event>,
     ) -> mujoco::Result<()> {
-        let half_a_step_s = 0.5 * sim.policy_period_s();
         if self.phase == Phase::Carried {
-            self.place(rig, &script.command, sim)?;
-            if rig.release_s < time_s + half_a_step_s {
+            self.place(rig, command, sim)?;
+            if at.has_come(rig.release_s) {
                 self.phase = Phase::Free;
                 // The load already moves as a robot that walks draws the rope: a stiff rope would jerk one at rest.
                 let rising_m_s = sim.data().tendon_velocities()[self.tendon];
                 sim.data_mut().velocities_mut()[self.load_velocity + 2] = rising_m_s;
                 let length_m = sim.data().tendon_lengths()[self.tendon] + rig.slack_m;
                 self.set_rope(sim, length_m, 0.0)?;
-                events.push(Event {
-                    time_s,
-                    kind: EventKind::Disturbance,
-                    text: format!("the {} is let go", rig.load.name),
-                });
+                events.push(Event::disturbance(at.time_s, format!("the {} is let go", rig.load.name)));
             }
-        } else if self.phase == Phase::Free && rig.until_s < time_s + half_a_step_s {
+        } else if self.phase == Phase::Free && at.has_come(rig.until_s) {
             self.phase = Phase::Off;
             self.set_rope(sim, ENDLESS_M, 0.0)?;
-            events.push(Event { time_s, kind: EventKind::Disturbance, text: "the rope is taken off".to_owned() });
+            events.push(Event::disturbance(at.time_s, "the rope is taken off"));
         }
         let velocity = &sim.data().velocities()[self.load_velocity..];
         self.speed_m_s = velocity[..3].iter().map(|v| v * v).sum::<f64>().sqrt();
         Ok(())
     }
 
-    /// Returns the rope after a step and adds events of the load. `forces` are those of the rope in the physics steps;
-    /// `touched` is a part of the robot that touched an obstacle.
-    pub(super) fn after_step(
+    /// Returns the rope after the step that ends at `time_s`, and adds events of the load. `touched` is a part of the robot
+    /// that touched an obstacle.
+    pub(in crate::world) fn after_step(
         &mut self,
         rig: &Rig,
         sim: &Sim,
         time_s: f64,
-        forces: RopeForces,
         touched: Option<usize>,
         events: &mut Vec<Event>,
     ) -> Rope {
@@ -256,8 +270,7 @@ impl RigState {
             let part = model.name(Kind::Body, model.geom_body(part));
             let text = format!("the {} hits {part} at {:.2} m/s", rig.load.name, self.speed_m_s);
             // Disturbances are dated at the beginning of their step.
-            let time_s = time_s - sim.policy_period_s();
-            events.push(Event { time_s, kind: EventKind::Disturbance, text });
+            events.push(Event::disturbance(time_s - sim.policy_period_s(), text));
         }
         let on_ground = |contact: mujoco::Contact| {
             contact.geoms.contains(&self.load_geom) && contact.geoms.contains(&sim.parts().ground())
@@ -265,10 +278,11 @@ impl RigState {
         if !self.is_grounded && self.phase == Phase::Free && data.contacts().any(on_ground) {
             self.is_grounded = true;
             let text = format!("the {} is on the ground", rig.load.name);
-            events.push(Event { time_s, kind: EventKind::Disturbance, text });
+            events.push(Event::disturbance(time_s, text));
         }
         // A rope that was taken off lies somewhere; only its load is still there.
         let sites = if self.phase == Phase::Off { &[] } else { self.sites.as_slice() };
+        let forces = std::mem::take(&mut self.forces);
         let point = |site: &usize| std::array::from_fn(|k| data.site_positions()[3 * site + k] as f32);
         Rope {
             points: sites.iter().map(point).collect(),
@@ -307,6 +321,15 @@ impl RigState {
     }
 }
 
+impl Rope {
+    /// Returns the force on the trunk of a rope that begins there, world frame \[N\].
+    pub(in crate::world) fn pull(&self) -> Vector3<f64> {
+        let Some([from, to]) = self.points.first_chunk::<2>() else { return Vector3::zeros() };
+        let along = Vector3::from(to.map(f64::from)) - Vector3::from(from.map(f64::from));
+        self.force_n * along.try_normalize(1e-9).unwrap_or_default()
+    }
+}
+
 /// Predicts the robot's position after `lead_s` of the commanded walk; also returns its heading.
 fn aim(state: &RobotState, command: &Command, lead_s: f64) -> (Vector2<f64>, Rotation2<f64>) {
     let (_, _, yaw) = state.roll_pitch_yaw();
@@ -316,7 +339,7 @@ fn aim(state: &RobotState, command: &Command, lead_s: f64) -> (Vector2<f64>, Rot
 }
 
 /// Forces of a rope or a spring over the physics steps of a policy step.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct RopeForces {
     sum_n: f64,
     count: u32,

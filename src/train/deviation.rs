@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 use crate::config::{HeldFeet, Randomisation, Simulation};
 use crate::robot::{LEGS, RobotState};
 use crate::sim::Dynamics;
+use crate::world::Hold;
 
 /// Draws the dynamics of an episode; `None` if nothing but friction and encoder bias is randomised.
 pub(super) fn dynamics(range: &Randomisation, simulation: &Simulation, rng: &mut impl Rng) -> Option<Dynamics> {
@@ -81,19 +82,6 @@ impl ImuErrors {
     }
 }
 
-/// A time at which a foot is held if it swings low.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Hold {
-    /// Index of the leg in [`LEGS`].
-    pub leg: usize,
-    /// Time from which it may be held \[s\].
-    pub from_s: f64,
-    /// Time until which it may be held \[s\].
-    pub until_s: f64,
-    /// Height of the obstacle: the foot is free above it \[m\].
-    pub height_m: f64,
-}
-
 /// Draws the times at which the feet are held, up to the end of an episode.
 pub(super) fn holds(range: &HeldFeet, length_s: f64, rng: &mut impl Rng) -> Vec<Hold> {
     let mut within = |[low, high]: [f64; 2]| rng.random_range(low..=high);
@@ -103,30 +91,18 @@ pub(super) fn holds(range: &HeldFeet, length_s: f64, rng: &mut impl Rng) -> Vec<
         let mut time_s = within([0.0, range.gap_s[1]]);
         while time_s < length_s {
             let until_s = time_s + within(range.duration_s);
-            holds.push(Hold { leg, from_s: time_s, until_s, height_m: within(range.height_m) });
+            holds.push(Hold {
+                leg,
+                from_s: time_s,
+                until_s,
+                height_m: within(range.height_m),
+                force_n: range.force_n,
+                stiffness_n_per_m: range.stiffness_n_per_m,
+            });
             time_s = until_s + within(range.gap_s);
         }
     }
     holds
-}
-
-/// The spring that holds feet, without its places.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct HoldSpring {
-    /// Largest horizontal force \[N\].
-    pub force_n: f64,
-    /// Stiffness [N/m].
-    pub stiffness_n_per_m: f64,
-}
-
-impl HoldSpring {
-    /// Returns the horizontal force on a foot at `place` that is held at `pin`, world frame \[N\].
-    pub fn force(&self, place: [f64; 2], pin: [f64; 2]) -> [f64; 2] {
-        let pull = [0, 1].map(|axis| self.stiffness_n_per_m * (pin[axis] - place[axis]));
-        let size = pull[0].hypot(pull[1]);
-        let cap = if size > self.force_n { self.force_n / size } else { 1.0 };
-        pull.map(|force| cap * force)
-    }
 }
 
 #[cfg(test)]
@@ -226,14 +202,5 @@ mod tests {
         }
         // Every 0.95 + 0.1 s on average after 0.7 s: 3.3 / 1.05 + 1/2 or so in 4 s.
         assert!(counts.iter().all(|count| (1650..1950).contains(count)), "{counts:?}");
-    }
-
-    #[test]
-    fn spring_pulls_back_and_no_harder_than_its_force() {
-        let spring = HoldSpring { force_n: 50.0, stiffness_n_per_m: 500.0 };
-        assert_eq!(spring.force([0.03, 0.04], [0.0, 0.0]), [-15.0, -20.0]);
-        // 0.2 m would be 100 N.
-        let [x, y] = spring.force([0.12, 0.16], [0.0, 0.0]);
-        assert!((x + 30.0).abs() < 1e-9 && (y + 40.0).abs() < 1e-9);
     }
 }

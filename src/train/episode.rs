@@ -1,4 +1,4 @@
-/*! The course of an episode: stages, conditions, pushes and the two curricula (sections III-C and III-D).
+/*! The plan of an episode: conditions, disturbances and the two curricula (sections III-C and III-D).
 
 An episode's conditions are drawn together when it starts, from its own random stream, and are plain data from then on.
 */
@@ -7,55 +7,13 @@ use rand::{Rng, RngExt};
 use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 
-use crate::config::{CommandRange, Config, Episode, Pulls, Simulation};
+use super::deviation::{self, ImuErrors};
+use crate::config::{CommandRange, Config, Pulls};
 use crate::observation::Command;
 use crate::robot::{GRAVITY_M_S2, JOINTS};
-use crate::sim::{Conditions, Dynamics, Pull, Push};
-use crate::task::deviation::{self, Hold, ImuErrors};
-
-/// The three stages of section III-C.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Stage {
-    /// Undisturbed walking with the full reward.
-    Walking,
-    /// The stage from the push on: tracking rewards are constants, except in the baseline.
-    Recovery,
-    /// Walking after the recovery, with the full reward again.
-    PostRecovery,
-}
-
-/// Lengths of the stages in policy steps.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Stages {
-    /// First step of the recovery stage, when the push happens.
-    pub recovery_start: usize,
-    /// First step of the post-recovery stage.
-    pub post_recovery_start: usize,
-    /// Number of steps of the episode.
-    pub end: usize,
-}
-
-impl Stages {
-    /// Converts the durations of a configuration to policy steps.
-    pub fn new(episode: &Episode, simulation: &Simulation) -> Self {
-        let recovery_start = simulation.policy_steps(episode.walking_s);
-        let post_recovery_start = recovery_start + simulation.policy_steps(episode.recovery_s);
-        let end = post_recovery_start + simulation.policy_steps(episode.post_recovery_s);
-        Stages { recovery_start, post_recovery_start, end }
-    }
-
-    /// Returns the stage that a step, counted from 0, belongs to.
-    pub fn at(&self, step: usize) -> Stage {
-        if step < self.recovery_start {
-            Stage::Walking
-        } else if step < self.post_recovery_start {
-            Stage::Recovery
-        } else {
-            Stage::PostRecovery
-        }
-    }
-}
+use crate::sim::{Conditions, Dynamics};
+use crate::task::Stages;
+use crate::world::{Disturbance, Pull, Push};
 
 /// Everything random about an episode except the policy's noise.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -64,20 +22,16 @@ pub struct EpisodePlan {
     pub command: Command,
     /// Slope, friction and encoder bias.
     pub conditions: Conditions,
-    /// The push at the start of the recovery stage; the episode ends after the walking stage without one.
-    pub push: Option<Push>,
-    /// The sustained pulls in order of time, world frame.
+    /// The push at the start of the recovery stage, the sustained pulls in order of time (world frame), and the times at
+    /// which feet may be held. They move into the world when the episode begins.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub pulls: Vec<Pull>,
+    pub disturbances: Vec<Disturbance>,
     /// The dynamics of the robot; `None` if they are those of its description.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub dynamics: Option<Dynamics>,
     /// The constant errors of the inertial sensor; `None` if it has none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub imu: Option<ImuErrors>,
-    /// The times at which feet may be held.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub holds: Vec<Hold>,
 }
 
 impl EpisodePlan {
@@ -92,6 +46,7 @@ impl EpisodePlan {
         );
         let episode = &config.episode;
         let push = Push {
+            at_s: Stages::new(episode, &config.simulation).recovery_start as f64 * config.simulation.policy_period_s(),
             linear: std::array::from_fn(|_| within(episode.push_speed_m_s)),
             angular: std::array::from_fn(|_| within(episode.push_rate_rad_s)),
         };
@@ -116,13 +71,15 @@ impl EpisodePlan {
         let drawn = |held| deviation::holds(held, length_s, rng);
         let holds = config.held_feet.as_ref().filter(|_| curriculum.pushes).map_or_else(Vec::new, drawn);
         // The push was drawn in any case, too.
-        EpisodePlan { command, conditions, push: curriculum.pushes.then_some(push), pulls, dynamics, imu, holds }
+        let push = curriculum.pushes.then_some(Disturbance::Push(push));
+        let pulls = pulls.into_iter().map(Disturbance::Pull);
+        let disturbances = push.into_iter().chain(pulls).chain(holds.into_iter().map(Disturbance::Hold)).collect();
+        EpisodePlan { command, conditions, disturbances, dynamics, imu }
     }
 
-    /// Returns the pulling force at a time of the episode \[s\], forward and left at its start, world frame \[N\].
-    pub fn force(&self, time_s: f64) -> [f64; 2] {
-        let acting = self.pulls.iter().find(|pull| (pull.from_s..pull.until_s).contains(&time_s));
-        acting.map_or([0.0; 2], |pull| pull.force)
+    /// Returns the push, if there is one.
+    pub fn push(&self) -> Option<&Push> {
+        self.disturbances.iter().find_map(|it| if let Disturbance::Push(push) = it { Some(push) } else { None })
     }
 }
 
@@ -143,7 +100,7 @@ fn drawn_pulls(range: &Pulls, open: f64, length_s: f64, rng: &mut impl Rng) -> V
     while time_s < length_s {
         let until_s = time_s + within(range.duration_s);
         let (size, angle) = (within([weakest * full_n, strongest * full_n]), within([0.0, std::f64::consts::TAU]));
-        pulls.push(Pull { from_s: time_s, until_s, force: [size * angle.cos(), size * angle.sin()] });
+        pulls.push(Pull::constant([time_s, until_s], [size * angle.cos(), size * angle.sin()]));
         time_s = until_s + within(range.gap_s);
     }
     pulls
@@ -199,14 +156,8 @@ mod tests {
         Config::load("compliant").unwrap()
     }
 
-    #[test]
-    fn stages_are_two_one_and_one_second_at_60_hz() {
-        let config = config();
-        let stages = Stages::new(&config.episode, &config.simulation);
-        assert_eq!(stages, Stages { recovery_start: 120, post_recovery_start: 180, end: 240 });
-        let at = [0, 119, 120, 179, 180, 239].map(|step| stages.at(step));
-        use Stage::{PostRecovery, Recovery, Walking};
-        assert_eq!(at, [Walking, Walking, Recovery, Recovery, PostRecovery, PostRecovery]);
+    fn pulls(plan: &EpisodePlan) -> impl Iterator<Item = &Pull> {
+        plan.disturbances.iter().filter_map(|it| if let Disturbance::Pull(pull) = it { Some(pull) } else { None })
     }
 
     #[test]
@@ -228,8 +179,8 @@ mod tests {
         assert!(near(largest(|plan| plan.command.forward), 0.5));
         assert!(near(largest(|plan| plan.command.left), 0.25));
         assert!(near(largest(|plan| plan.command.yaw), 0.25));
-        assert!(near(largest(|plan| plan.push.unwrap().linear[1]), 1.0));
-        assert!(near(largest(|plan| plan.push.unwrap().angular[2]), 1.0));
+        assert!(near(largest(|plan| plan.push().unwrap().linear[1]), 1.0));
+        assert!(near(largest(|plan| plan.push().unwrap().angular[2]), 1.0));
         assert!(near(largest(|plan| plan.conditions.gravity[0]), 0.977));
         assert!(plans.iter().all(|plan| plan.conditions.friction == 0.8));
     }
@@ -240,7 +191,7 @@ mod tests {
         on.randomisation.enabled = true;
         let draw = |config| EpisodePlan::draw(config, Curriculum::complete(), &mut stream(1, Purpose::Episode, 2, 3));
         let (off, on) = (draw(&off), draw(&on));
-        assert_eq!((off.command, off.push, off.conditions.gravity), (on.command, on.push, on.conditions.gravity));
+        assert_eq!((off.command, off.push(), off.conditions.gravity), (on.command, on.push(), on.conditions.gravity));
         assert_ne!((on.conditions.friction, on.conditions.encoder_bias), (0.8, [0.0; JOINTS]));
     }
 
@@ -277,7 +228,8 @@ mod tests {
     fn pushes_begin_above_their_gate_and_stay_on_below_it() {
         let config = config();
         let mut curriculum = Curriculum::new(&config.command);
-        let push = |curriculum| EpisodePlan::draw(&config, curriculum, &mut stream(1, Purpose::Episode, 0, 0)).push;
+        let push =
+            |curriculum| EpisodePlan::draw(&config, curriculum, &mut stream(1, Purpose::Episode, 0, 0)).push().copied();
         curriculum.update(0.84, &config);
         assert_eq!(push(curriculum), None);
         curriculum.update(0.86, &config);
@@ -301,7 +253,7 @@ mod tests {
         let mut counts = [0; 4];
         for k in 0..1000 {
             let plan = EpisodePlan::draw(&config, Curriculum::complete(), &mut stream(1, Purpose::Episode, k, 0));
-            let forces: Vec<f64> = plan.pulls.iter().map(|pull| pull.force[0].hypot(pull.force[1])).collect();
+            let forces: Vec<f64> = pulls(&plan).map(|pull| pull.force[0].hypot(pull.force[1])).collect();
             // Up to rounding of the sine and the cosine.
             let within = |[low, high]: [f64; 2]| forces.iter().all(|force| (low - 1e-9..=high + 1e-9).contains(force));
             let bucket = [[0.0, 0.0], [0.0, 10.0], [10.0, 25.0], [25.0, 50.0]].into_iter().position(within);
@@ -312,7 +264,7 @@ mod tests {
 
     #[test]
     fn pulls_grow_with_the_curriculum() {
-        let pulls = Pulls {
+        let range = Pulls {
             force_n: 50.0,
             duration_s: [0.5, 2.5],
             gap_s: [0.2, 1.5],
@@ -321,13 +273,13 @@ mod tests {
             buckets: Vec::new(),
         };
         let without = Config::load("fast").unwrap();
-        let config = Config { pulls: Some(pulls), ..without.clone() };
+        let config = Config { pulls: Some(range), ..without.clone() };
         let plans = |force_fraction: f64| -> Vec<EpisodePlan> {
             let curriculum = Curriculum { force_fraction, ..Curriculum::complete() };
             (0..500).map(|k| EpisodePlan::draw(&config, curriculum, &mut stream(1, Purpose::Episode, k, 0))).collect()
         };
         let strongest = |plans: &[EpisodePlan]| {
-            let forces = plans.iter().flat_map(|plan| &plan.pulls).map(|pull| pull.force[0].hypot(pull.force[1]));
+            let forces = plans.iter().flat_map(pulls).map(|pull| pull.force[0].hypot(pull.force[1]));
             forces.fold(0.0, f64::max)
         };
         assert_eq!(strongest(&plans(0.0)), 0.0);
@@ -337,16 +289,14 @@ mod tests {
         // One after the other, with pauses, to the end of the episode.
         let episode = &config.episode;
         let length_s = episode.walking_s + episode.recovery_s + episode.post_recovery_s;
-        for pulls in open.iter().map(|plan| &plan.pulls) {
+        for pulls in open.iter().map(|plan| pulls(plan).collect::<Vec<_>>()) {
             assert!(pulls.windows(2).all(|pair| pair[1].from_s - pair[0].until_s >= 0.2));
             assert!(pulls.last().is_some_and(|last| last.until_s + 1.5 >= length_s));
         }
-        let first = open[0].pulls[0];
-        assert_eq!(open[0].force(0.5 * (first.from_s + first.until_s)), first.force);
-        assert_eq!(open[0].force(first.until_s + 0.1), [0.0; 2]);
         // Everything else is drawn as without pulls.
         let plan = EpisodePlan::draw(&without, Curriculum::complete(), &mut stream(1, Purpose::Episode, 0, 0));
-        assert_eq!(plan, EpisodePlan { pulls: Vec::new(), ..open[0].clone() });
+        let others = open[0].disturbances.iter().filter(|it| !matches!(it, Disturbance::Pull(_))).cloned().collect();
+        assert_eq!(plan, EpisodePlan { disturbances: others, ..open[0].clone() });
         // The fraction grows only once there are pushes and the robot walks well.
         let mut curriculum = Curriculum::new(&config.command);
         curriculum.update(0.79, &config);

@@ -12,14 +12,16 @@ oscillate with a period of 0.8 s, about 200 physics steps.
 
 use nalgebra::Vector3;
 
+use serde::{Deserialize, Serialize};
+
+use super::Mark;
 use super::rig::RopeForces;
 use crate::mujoco::{self, Data, Kind};
 use crate::robot::HARNESS;
-use crate::scenario::trace::{Disturbance, Stretch};
 use crate::sim::Sim;
 
 /// A spring between the trunk and a moving point.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Spring {
     /// Kind of the other end.
     pub end: SpringEnd,
@@ -38,7 +40,8 @@ pub struct Spring {
 }
 
 /// The other end of a spring.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum SpringEnd {
     /// A hand that holds a leash.
     Hand,
@@ -56,13 +59,24 @@ impl SpringEnd {
     }
 }
 
+/// A spring between the trunk and a point, in a policy step.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Stretch {
+    /// Stretch in the last physics step; negative while slack \[m\].
+    pub stretch_m: f64,
+    /// Force on the trunk, mean over the step's physics steps \[N\].
+    pub force_n: f64,
+    /// Largest force in the step \[N\].
+    pub peak_force_n: f64,
+}
+
 impl Spring {
-    /// Returns the disturbance to draw for a force of this size \[N\].
-    pub(super) fn disturbance(&self, force_n: f64) -> Option<Disturbance> {
+    /// Returns how a force of this size is drawn \[N\].
+    pub(in crate::world) fn mark(&self, force_n: f64) -> Option<Mark> {
         let force = [force_n * self.direction[0], force_n * self.direction[1], 0.0];
         (force_n > 0.0).then_some(match self.end {
-            SpringEnd::Hand => Disturbance::Pull { force },
-            SpringEnd::Wall => Disturbance::Press { force },
+            SpringEnd::Hand => Mark::Rope { force },
+            SpringEnd::Wall => Mark::Press { force },
         })
     }
 
@@ -74,28 +88,29 @@ impl Spring {
     }
 }
 
-/// The state of a spring during a playback.
-#[derive(Debug)]
-pub(super) struct SpringState {
+/// What a spring remembers.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(in crate::world) struct Memory {
     /// Id of the site at the trunk's centre of mass.
     harness: usize,
     /// Position of the trunk along the direction when the point started to move \[m\].
     start_m: Option<f64>,
     /// Stretch in the last physics step \[m\].
     stretch_m: Option<f64>,
+    #[serde(skip)] // Empty between policy steps.
     forces: RopeForces,
     has_acted: bool,
 }
 
-impl SpringState {
+impl Memory {
     /// Looks up the site at the trunk's centre of mass.
     pub(super) fn new(sim: &Sim) -> mujoco::Result<Self> {
         let harness = sim.data().model().id(Kind::Site, HARNESS)?;
-        Ok(SpringState { harness, start_m: None, stretch_m: None, forces: RopeForces::default(), has_acted: false })
+        Ok(Memory { harness, start_m: None, stretch_m: None, forces: RopeForces::default(), has_acted: false })
     }
 
     /// Returns the force on the trunk in the coming physics step, world frame \[N\].
-    pub(super) fn force(&mut self, spring: &Spring, data: &Data) -> Vector3<f64> {
+    pub(in crate::world) fn force(&mut self, spring: &Spring, data: &Data) -> Vector3<f64> {
         let place = &data.site_positions()[3 * self.harness..];
         let along_m = spring.direction[0] * place[0] + spring.direction[1] * place[1];
         let force_n = self.force_n(spring, data.time_s() - spring.from_s, along_m, data.model().timestep_s());
@@ -120,7 +135,7 @@ impl SpringState {
 
     /// Returns the stretch and forces of the last policy step, with an event text if the spring acted for the first time;
     /// `None` before the point has started to move.
-    pub(super) fn after_step(&mut self, spring: &Spring) -> Option<(Stretch, Option<&'static str>)> {
+    pub(in crate::world) fn after_step(&mut self, spring: &Spring) -> Option<(Stretch, Option<&'static str>)> {
         let forces = std::mem::take(&mut self.forces);
         let stretch = Stretch { stretch_m: self.stretch_m?, force_n: forces.mean_n(), peak_force_n: forces.peak_n() };
         let acts_first = stretch.peak_force_n > 0.0 && !std::mem::replace(&mut self.has_acted, true);
@@ -147,8 +162,8 @@ mod tests {
         }
     }
 
-    fn state() -> SpringState {
-        SpringState { harness: 0, start_m: None, stretch_m: None, forces: RopeForces::default(), has_acted: false }
+    fn state() -> Memory {
+        Memory { harness: 0, start_m: None, stretch_m: None, forces: RopeForces::default(), has_acted: false }
     }
 
     #[test]

@@ -7,7 +7,7 @@ apart. Every terrain is then flattened around the origin, where the robot starts
 use rand::RngExt;
 use rand::seq::SliceRandom;
 
-use crate::sim::HeightField;
+use super::HeightField;
 use crate::util::random::{Purpose, stream};
 
 /// Radius around the start that stays flat \[m\].

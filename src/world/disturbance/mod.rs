@@ -1,0 +1,203 @@
+/*! Disturbances: pushes, pulls, leashes, walls, loads on ropes and held feet, as values with a course in time.
+
+A [`Disturbance`] is plain data: the plan of an episode and the script of a scenario list them, and a person who drives
+adds pushes and pulls. The [`World`](super::World) makes them act. Each kind has its own file, which says when it acts, which
+force it exerts in a given state, which [`Event`]s it causes and how it is drawn.
+*/
+
+mod hold;
+mod pull;
+mod push;
+mod rig;
+mod spring;
+
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+
+pub use hold::Hold;
+pub use pull::{Profile, Pull, PullFrame};
+pub use push::Push;
+pub use rig::{Holder, Load, Rig, Rope, Shape};
+pub use spring::{Spring, SpringEnd, Stretch};
+
+use crate::mujoco::{Data, Result};
+use crate::observation::Command;
+use crate::sim::Sim;
+
+/// Something that disturbs the robot.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Disturbance {
+    /// A sudden change of the trunk's velocity.
+    Push(Push),
+    /// A force on the trunk.
+    Pull(Pull),
+    /// A spring between the trunk and a point: a leash whose holder walks, or a soft wall.
+    Spring(Spring),
+    /// A load on a rope: a weight over a pulley, or a ball on a string.
+    Rig(Rig),
+    /// A foot that is held while it swings low.
+    Hold(Hold),
+}
+
+impl Disturbance {
+    /// Returns what begins, for sentences, and the time at which it does \[s\].
+    pub fn beginning(&self) -> (&'static str, f64) {
+        match self {
+            Disturbance::Push(push) => ("push", push.at_s),
+            Disturbance::Pull(pull) => ("pull", pull.from_s),
+            Disturbance::Spring(spring) => ("start of the leash", spring.from_s),
+            Disturbance::Rig(rig) => ("release of the load", rig.release_s),
+            Disturbance::Hold(hold) => ("hold of a foot", hold.from_s),
+        }
+    }
+}
+
+/// The beginning of a policy step, which decides what acts in the step.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct StepTime {
+    pub(super) time_s: f64,
+    pub(super) period_s: f64,
+}
+
+impl StepTime {
+    /// Returns true if an instant has come: it is nearer to this step's beginning than to that of the next one, or earlier.
+    fn has_come(self, at_s: f64) -> bool {
+        at_s < self.time_s + 0.5 * self.period_s
+    }
+
+    /// Returns true if the step begins within an interval. Times of steps are products: they may be off by a rounding.
+    fn is_within(self, from_s: f64, until_s: f64) -> bool {
+        (from_s..until_s).contains(&(self.time_s + 1e-9))
+    }
+}
+
+/// An event of a playback.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Event {
+    /// Simulation time \[s\].
+    pub time_s: f64,
+    /// Kind of the event.
+    pub kind: EventKind,
+    /// Text of the event.
+    pub text: String,
+}
+
+/// Kinds of events.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum EventKind {
+    /// A disturbance began or ended.
+    Disturbance,
+    /// The robot fell.
+    Fall,
+    /// The robot completed the scenario's task (crossed, passed, recovered).
+    Success,
+    /// The physics or the sensors failed.
+    Fault,
+}
+
+impl Event {
+    /// Creates the event of a disturbance.
+    pub fn disturbance(time_s: f64, text: impl Into<String>) -> Self {
+        Event { time_s, kind: EventKind::Disturbance, text: text.into() }
+    }
+}
+
+/// How a disturbance is drawn.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case", tag = "kind")]
+pub enum Mark {
+    /// An arrow: a sudden change of the trunk's velocity.
+    Push {
+        /// Change of velocity, world frame [m/s].
+        velocity: [f64; 3],
+    },
+    /// A rope that pulls the trunk.
+    #[serde(rename = "pull")]
+    Rope {
+        /// Force on the trunk, world frame \[N\].
+        force: [f64; 3],
+    },
+    /// An arrow that ends at the trunk: an obstacle presses on it.
+    Press {
+        /// Force on the trunk, world frame \[N\].
+        force: [f64; 3],
+    },
+}
+
+/// A disturbance at work: the value, and what it remembers from step to step.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum Acting {
+    Push(Push, push::Memory),
+    Pull(Pull, pull::Memory),
+    Spring(Spring, spring::Memory),
+    Rig(Rig, rig::Memory),
+    Hold(Hold, hold::Memory),
+}
+
+impl Acting {
+    /// Prepares a disturbance in a scene.
+    ///
+    /// # Errors
+    /// The scene lacks a part of it.
+    pub(super) fn new(what: Disturbance, sim: &Sim) -> Result<Self> {
+        Ok(match what {
+            Disturbance::Push(push) => Acting::Push(push, push::Memory::default()),
+            Disturbance::Pull(pull) => Acting::Pull(pull, pull::Memory::default()),
+            Disturbance::Spring(spring) => Acting::Spring(spring, spring::Memory::new(sim)?),
+            Disturbance::Rig(rig) => {
+                let memory = rig::Memory::new(&rig, sim)?;
+                Acting::Rig(rig, memory)
+            }
+            Disturbance::Hold(hold) => Acting::Hold(hold, hold::Memory::default()),
+        })
+    }
+
+    /// Returns the disturbance.
+    pub(super) fn value(&self) -> Disturbance {
+        match self {
+            Acting::Push(push, _) => Disturbance::Push(*push),
+            Acting::Pull(pull, _) => Disturbance::Pull(*pull),
+            Acting::Spring(spring, _) => Disturbance::Spring(spring.clone()),
+            Acting::Rig(rig, _) => Disturbance::Rig(rig.clone()),
+            Acting::Hold(hold, _) => Disturbance::Hold(*hold),
+        }
+    }
+
+    /// Returns true for the kinds that exert a force on the trunk of their own.
+    pub(super) fn is_force(&self) -> bool {
+        matches!(self, Acting::Pull(..) | Acting::Spring(..))
+    }
+
+    /// Prepares the policy step that begins at `at`.
+    ///
+    /// # Errors
+    /// MuJoCo fails in the disturbed state.
+    pub(super) fn before_step(
+        &mut self,
+        at: StepTime,
+        command: &Command,
+        sim: &mut Sim,
+        events: &mut Vec<Event>,
+    ) -> Result<()> {
+        match self {
+            Acting::Push(push, memory) => memory.before_step(push, at, sim, events)?,
+            Acting::Pull(pull, memory) => memory.before_step(pull, at, sim, events),
+            Acting::Spring(..) => {}
+            Acting::Rig(rig, memory) => memory.before_step(rig, at, command, sim, events)?,
+            Acting::Hold(hold, memory) => memory.before_step(hold, at),
+        }
+        Ok(())
+    }
+
+    /// Returns the force on the trunk in the coming physics step, world frame \[N\].
+    pub(super) fn trunk_force(&mut self, data: &Data) -> Vector3<f64> {
+        match self {
+            Acting::Pull(pull, memory) => memory.force(pull, data.time_s()),
+            Acting::Spring(spring, memory) => memory.force(spring, data),
+            Acting::Push(..) | Acting::Rig(..) | Acting::Hold(..) => Vector3::zeros(),
+        }
+    }
+}

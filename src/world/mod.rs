@@ -1,0 +1,396 @@
+/*! The world: a simulated robot, what disturbs it, what it truly feels, and what it is paid.
+
+Training and playback both step a [`World`]: an environment adds the plan of an episode, observers and curricula; a playback
+adds a controller, sensors and a trace. One call of [`World::step`] makes the disturbances act, runs the physics of one policy
+step, and measures: forces, the terms of the reward, and events.
+
+The world remembers what the reward needs beyond the present state: the state and the joint targets before, and the swings of
+the feet. It saves them, and what each disturbance remembers, with the simulation, so that it goes on with the same bits.
+*/
+
+pub mod disturbance;
+mod meter;
+
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+
+pub use disturbance::{Disturbance, Event, EventKind, Hold, Mark, Profile, Pull, Push, Rig, Rope, Spring, Stretch};
+
+use crate::config::{Reward, Simulation};
+use crate::mujoco::{Data, Error, Result};
+use crate::observation::Command;
+use crate::robot::{JOINTS, Joints, LEGS, RobotState};
+use crate::sim::{Conditions, Dynamics, Parts, Scene, Sim, SimState, StepForces, StepSummary};
+use crate::task::reward::{Landings, RewardInput};
+use crate::task::{SwingTracker, Terms};
+use disturbance::{Acting, StepTime};
+use meter::StepMeter;
+
+/// The result of one policy step of a world.
+#[derive(Debug, Clone, PartialEq)]
+pub struct WorldStep {
+    /// Effort, and the first fall.
+    pub summary: StepSummary,
+    /// Terms of the reward, without their weights.
+    pub terms: Terms,
+    /// Swings that ended.
+    pub landings: Landings,
+    /// Forces on the robot.
+    pub forces: StepForces,
+    /// The rope, if the world has one.
+    pub rope: Option<Rope>,
+    /// The spring, if the world has one and it has begun.
+    pub spring: Option<Stretch>,
+    /// How what acts is drawn.
+    pub mark: Option<Mark>,
+    /// Events of the disturbances.
+    pub events: Vec<Event>,
+}
+
+/// Complete state of a world, from which it continues with the same bits.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct WorldState {
+    sim: SimState,
+    steps: usize,
+    disturbances: Vec<Acting>,
+    swings: SwingTracker,
+    targets: [Joints; 3],
+}
+
+/// A simulated robot with everything that disturbs it.
+#[derive(Debug)]
+pub struct World {
+    sim: Sim,
+    reward: Reward,
+    /// Those of the plan or script, then those that a person adds.
+    disturbances: Vec<Acting>,
+    /// Number of the planned ones.
+    planned: usize,
+    /// Number of policy steps since the beginning.
+    steps: usize,
+    state: RobotState,
+    /// Joint targets of this step and of the two before \[rad\].
+    targets: [Joints; 3],
+    swings: SwingTracker,
+}
+
+impl World {
+    /// Compiles a scene. `reward` are the targets and sharpnesses of the reward's terms. The robot counts as fallen below
+    /// `fall_height_m` \[m\], unless its description states another height. Call [`World::begin`] before the first step.
+    ///
+    /// # Errors
+    /// The scene does not compile, the model lacks a part of the robot, or MuJoCo fails.
+    pub fn new(scene: &Scene, simulation: &Simulation, fall_height_m: f64, reward: Reward) -> Result<Self> {
+        let sim = Sim::new(scene, simulation, fall_height_m)?;
+        Ok(World {
+            sim,
+            reward,
+            disturbances: Vec::new(),
+            planned: 0,
+            steps: 0,
+            state: RobotState::default(),
+            targets: [[0.0; JOINTS]; 3],
+            swings: SwingTracker::default(),
+        })
+    }
+
+    /// Puts the robot at its start, at rest, holding `target` \[rad\], with these disturbances to come.
+    ///
+    /// # Errors
+    /// MuJoCo fails in the starting state, or the scene lacks a part of a disturbance.
+    pub fn begin(
+        &mut self,
+        conditions: Conditions,
+        target: &Joints,
+        disturbances: impl IntoIterator<Item = Disturbance>,
+    ) -> Result<()> {
+        self.steps = 0;
+        self.restart(conditions, target)?;
+        self.disturbances =
+            disturbances.into_iter().map(|it| Acting::new(it, &self.sim)).collect::<Result<Vec<_>>>()?;
+        self.planned = self.disturbances.len();
+        Ok(())
+    }
+
+    /// Puts robot and scene at their start, while time goes on: disturbances that have come do not come again.
+    ///
+    /// # Errors
+    /// MuJoCo fails in the starting state.
+    pub fn restart(&mut self, conditions: Conditions, target: &Joints) -> Result<()> {
+        self.sim.reset(conditions, target)?;
+        // The reset has cleared all forces; a hand that still pulls begins anew.
+        for it in &mut self.disturbances[self.planned..] {
+            if let Acting::Pull(_, memory) = it {
+                *memory = Default::default();
+            }
+        }
+        self.stand_again(target);
+        Ok(())
+    }
+
+    /// Sets the robot on its feet at its present place: see [`Sim::set_on_feet`].
+    ///
+    /// # Errors
+    /// MuJoCo fails in the new state.
+    pub fn set_on_feet(&mut self, target: &Joints) -> Result<()> {
+        self.sim.set_on_feet(target)?;
+        self.stand_again(target);
+        Ok(())
+    }
+
+    fn stand_again(&mut self, target: &Joints) {
+        self.state = self.sim.state();
+        self.targets = [*target; 3];
+        self.swings = SwingTracker::new(&self.state.feet, self.reward.foot_height_m);
+        for it in &mut self.disturbances {
+            if let Acting::Push(_, memory) = it {
+                memory.hide();
+            }
+        }
+    }
+
+    /// Adds a disturbance, which acts from its own time on.
+    ///
+    /// # Errors
+    /// The scene lacks a part of it.
+    pub fn disturb(&mut self, disturbance: Disturbance) -> Result<()> {
+        self.disturbances.push(Acting::new(disturbance, &self.sim)?);
+        Ok(())
+    }
+
+    /// Pulls the trunk by hand from the next step on, forward and left in the heading frame \[N\]; `None` lets go.
+    pub fn pull_by_hand(&mut self, force: Option<[f64; 2]>) {
+        let hand = self.disturbances[self.planned..].iter_mut().find_map(|it| match it {
+            Acting::Pull(pull, _) => Some(pull),
+            _ => None,
+        });
+        match (hand, force) {
+            (Some(pull), Some(force)) => *pull = Pull::hand(force),
+            (Some(pull), None) => pull.until_s = f64::NEG_INFINITY,
+            (None, Some(force)) => self.disturbances.push(Acting::Pull(Pull::hand(force), Default::default())),
+            (None, None) => {}
+        }
+    }
+
+    /// Runs one policy step towards joint targets \[rad\]: disturbs, simulates, measures. `command` is what the robot is
+    /// paid for; `sensors` is called after each physics step, with the torques in it [N·m].
+    ///
+    /// # Errors
+    /// A target is not finite, or MuJoCo fails; then begin anew.
+    pub fn step(
+        &mut self,
+        target: &Joints,
+        command: &Command,
+        sensors: impl FnMut(&Data, &Parts, &Joints),
+    ) -> Result<WorldStep> {
+        let (at, mut events) = (self.at(), Vec::new());
+        for it in &mut self.disturbances {
+            it.before_step(at, command, &mut self.sim, &mut events)?;
+        }
+        let mut meter = StepMeter {
+            disturbances: &mut self.disturbances,
+            swings: &mut self.swings,
+            sensors,
+            sums: StepForces::default(),
+            substeps: 0,
+            obstacle_substeps: 0,
+            touched: None,
+        };
+        let summary = self.sim.step(target, &mut meter)?;
+        let (mut forces, touched) = (meter.forces(at.period_s), meter.touched);
+        self.steps += 1;
+        let before = std::mem::replace(&mut self.state, self.sim.state());
+        self.targets = [*target, self.targets[0], self.targets[1]];
+        let landings = self.swings.take();
+        let (rope, spring, mark) = self.after_step(touched, &mut forces, &mut events);
+        // What a perfect observer of forces would find.
+        let felt = self.state.heading().inverse() * forces.trunk;
+        self.state.felt_force = Some([felt.x, felt.y]);
+        let terms = Terms::new(&RewardInput {
+            state: &self.state,
+            before: &before,
+            targets: &self.targets,
+            command,
+            summary: &summary,
+            landings: &landings,
+            forces: &forces,
+            period_s: at.period_s,
+            time_s: self.time_s(),
+            config: &self.reward,
+        });
+        Ok(WorldStep { summary, terms, landings, forces, rope, spring, mark, events })
+    }
+
+    /// Takes from the disturbances what they did in the step, and forgets those of a person that are over.
+    fn after_step(
+        &mut self,
+        touched: Option<usize>,
+        forces: &mut StepForces,
+        events: &mut Vec<Event>,
+    ) -> (Option<Rope>, Option<Stretch>, Option<Mark>) {
+        let (time_s, period_s) = (self.time_s(), self.sim.policy_period_s());
+        let (mut rope, mut spring, mut pull, mut marks) = (None, None, None, [None; 2]);
+        for it in &mut self.disturbances {
+            match it {
+                Acting::Push(_, memory) => {
+                    if let Some(change) = memory.change() {
+                        forces.trunk += self.sim.robot().mass_kg * change / period_s;
+                    }
+                    marks[1] = memory.shown(time_s).map(|velocity| Mark::Push { velocity }).or(marks[1]);
+                }
+                Acting::Pull(value, memory) => {
+                    if memory.acts() {
+                        *pull.get_or_insert_with(Vector3::zeros) += memory.force(value, self.sim.data().time_s());
+                    }
+                }
+                Acting::Spring(value, memory) => {
+                    if let Some((stretch, text)) = memory.after_step(value) {
+                        events.extend(text.map(|text| Event::disturbance(time_s, text)));
+                        marks[0] = value.mark(stretch.force_n);
+                        spring = Some(stretch);
+                    }
+                }
+                Acting::Rig(value, memory) => {
+                    let found = memory.after_step(value, &self.sim, time_s, touched, events);
+                    if value.from.is_some() {
+                        forces.trunk += found.pull();
+                    }
+                    rope = Some(found);
+                }
+                Acting::Hold(..) => {}
+            }
+        }
+        let mark = pull.map(|force| Mark::Rope { force: force.into() }).or(marks[0]).or(marks[1]);
+        let mut index = 0;
+        self.disturbances.retain(|it| {
+            index += 1;
+            index <= self.planned
+                || match it {
+                    Acting::Push(_, memory) => !memory.is_done() || memory.shown(time_s).is_some(),
+                    Acting::Pull(pull, memory) => memory.acts() || pull.until_s > time_s,
+                    _ => true,
+                }
+        });
+        (rope, spring, mark)
+    }
+
+    fn at(&self) -> StepTime {
+        StepTime { time_s: self.time_s(), period_s: self.sim.policy_period_s() }
+    }
+
+    /// Returns the time at which the next step begins \[s\].
+    pub fn time_s(&self) -> f64 {
+        self.steps as f64 * self.sim.policy_period_s()
+    }
+
+    /// Returns the number of policy steps since the beginning.
+    pub fn steps(&self) -> usize {
+        self.steps
+    }
+
+    /// Sets the clock back to zero.
+    pub fn rewind_clock(&mut self) {
+        self.steps = 0;
+        self.sim.data_mut().set_time_s(0.0);
+    }
+
+    /// Returns the state after the last step. The felt force is the true one unless [`World::set_felt_force`] says otherwise.
+    pub fn state(&self) -> &RobotState {
+        &self.state
+    }
+
+    /// Replaces the force on the trunk that the robot feels, forward and left in the heading frame \[N\].
+    pub fn set_felt_force(&mut self, force: Option<[f64; 2]>) {
+        self.state.felt_force = force;
+    }
+
+    /// Returns the joint targets of the last step \[rad\]; those of the beginning before the first.
+    pub fn last_target(&self) -> &Joints {
+        &self.targets[0]
+    }
+
+    /// Iterates over the disturbances that were planned.
+    pub fn planned(&self) -> impl Iterator<Item = Disturbance> + '_ {
+        self.disturbances[..self.planned].iter().map(Acting::value)
+    }
+
+    /// Iterates over the planned pushes, each with whether it has come.
+    pub fn pushes(&self) -> impl Iterator<Item = (&Push, bool)> {
+        self.disturbances.iter().filter_map(|it| match it {
+            Acting::Push(push, memory) => Some((push, memory.is_done())),
+            _ => None,
+        })
+    }
+
+    /// Returns the push at the beginning of the coming step, if there is one.
+    pub fn coming_push(&self) -> Option<&Push> {
+        let at = self.at();
+        self.disturbances.iter().find_map(|it| match it {
+            Acting::Push(push, memory) => memory.is_coming(push, at).then_some(push),
+            _ => None,
+        })
+    }
+
+    /// Returns the force of all pulls at the beginning of the coming step, world frame \[N\].
+    pub fn coming_pull(&self) -> Vector3<f64> {
+        let at = self.at();
+        self.disturbances.iter().fold(Vector3::zeros(), |sum, it| match it {
+            Acting::Pull(pull, _) => sum + pull.coming(at, &self.sim).unwrap_or_default(),
+            _ => sum,
+        })
+    }
+
+    /// Returns the targets and sharpnesses of the reward's terms, and their weights.
+    pub fn reward(&self) -> &Reward {
+        &self.reward
+    }
+
+    /// Gives the robot other dynamics from the next [`World::begin`] or [`World::restore`] on: see [`Sim::set_dynamics`].
+    ///
+    /// # Errors
+    /// The trunk would have less mass than nothing.
+    pub fn set_dynamics(&mut self, dynamics: &Dynamics) -> Result<()> {
+        self.sim.set_dynamics(dynamics)
+    }
+
+    /// Returns the simulation.
+    pub fn sim(&self) -> &Sim {
+        &self.sim
+    }
+
+    /// Returns the simulation, to be changed.
+    pub fn sim_mut(&mut self) -> &mut Sim {
+        &mut self.sim
+    }
+
+    /// Returns the state from which the world continues with the same bits, without what a person does to it.
+    pub fn save(&self) -> WorldState {
+        WorldState {
+            sim: self.sim.save(),
+            steps: self.steps,
+            disturbances: self.disturbances[..self.planned].to_vec(),
+            swings: self.swings,
+            targets: self.targets,
+        }
+    }
+
+    /// Restores a saved state.
+    ///
+    /// # Errors
+    /// The state belongs to another model, no world could have come to it, or MuJoCo fails in it.
+    pub fn restore(&mut self, state: &WorldState) -> Result<()> {
+        let last = LEGS.len() - 1;
+        if let Some(Acting::Hold(hold, _)) =
+            state.disturbances.iter().find(|it| matches!(it, Acting::Hold(hold, _) if hold.leg > last))
+        {
+            let message = format!("it holds the foot of leg {}, expected 0 to {last}", hold.leg);
+            return Err(Error::Load { what: "a saved state".into(), message });
+        }
+        self.sim.restore(&state.sim)?;
+        self.disturbances.clone_from(&state.disturbances);
+        self.planned = self.disturbances.len();
+        (self.steps, self.swings, self.targets) = (state.steps, state.swings, state.targets);
+        self.state = self.sim.state();
+        Ok(())
+    }
+}
