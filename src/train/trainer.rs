@@ -502,7 +502,8 @@ mod tests {
     fn a_checkpoint_that_no_run_could_have_written_is_refused_by_name() {
         let Checkpoint { run, learner } = Trainer::new("test", real(), 0, 1).unwrap().checkpoint().unwrap();
         let run = serde_json::to_value(&run).unwrap();
-        let hold = json!({"leg": 4, "from_s": 0, "until_s": 1, "height_m": 0.1, "force_n": 60, "stiffness_n_per_m": 600});
+        let hold =
+            json!({"leg": 4, "from_s": 0, "until_s": 1, "height_m": 0.1, "force_n": 60, "stiffness_n_per_m": 600});
         let holds = json!([{"hold": [hold, {"acts": false, "acted": false, "pin": null}]}]);
         for (place, key, value, expected) in [
             ("/environments/0/progress/plan/dynamics", "latency_s", json!(1e12), "latency_s is 1000000000000"),

@@ -309,12 +309,7 @@ impl World {
         &self.targets[0]
     }
 
-    /// Iterates over the disturbances that were planned.
-    pub fn planned(&self) -> impl Iterator<Item = Disturbance> + '_ {
-        self.disturbances[..self.planned].iter().map(Acting::value)
-    }
-
-    /// Iterates over the planned pushes, each with whether it has come.
+    /// Iterates over the pushes, each with whether it has come.
     pub fn pushes(&self) -> impl Iterator<Item = (&Push, bool)> {
         self.disturbances.iter().filter_map(|it| match it {
             Acting::Push(push, memory) => Some((push, memory.is_done())),

@@ -43,55 +43,45 @@ mod prelude {
     pub use supple::util::numbers::brief;
 }
 
-/// Every experiment with its parameters, in the order of the report.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-#[allow(missing_docs)]
-pub struct Protocol {
-    pub walk: walk::Walk,
-    pub push_grid: push_grid::PushGrid,
-    pub decay: decay::Decay,
-    pub table4: table4::Table4,
-    pub directions: directions::Directions,
-    pub leash: leash::Leash,
-    pub r#box: free_box::FreeBox,
-    pub ball_pit: ball_pit::BallPit,
-    pub terrain: terrain::Terrain,
-    pub pulley: pulley::Pulley,
-    pub pendulum: pendulum::Pendulum,
-    pub rubble: rubble::Rubble,
-    pub outdoor: outdoor::Outdoor,
-    pub calibration: commanded_compliance::CommandedCompliance,
-    pub pull: pull::Pull,
-    pub wall: wall::Wall,
-    pub lead: lead::Lead,
-    pub felt: felt::Felt,
+/// Defines [`Protocol`] from the list of experiments: section of the protocol, and type of the parameters.
+macro_rules! protocol {
+    ($($(#[$attribute:meta])* $section:ident: $Experiment:ty;)*) => {
+        /// Every experiment with its parameters, in the order of the report.
+        #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+        #[serde(deny_unknown_fields)]
+        #[allow(missing_docs)]
+        pub struct Protocol {
+            $($(#[$attribute])* pub $section: $Experiment,)*
+        }
+
+        impl Protocol {
+            /// Returns the experiments in the order of the report.
+            pub fn experiments(&self) -> Vec<&dyn Experiment> {
+                vec![$(&self.$section),*]
+            }
+        }
+    };
 }
 
-impl Protocol {
-    /// Returns the experiments in the order of the report.
-    pub fn experiments(&self) -> Vec<&dyn Experiment> {
-        vec![
-            &self.walk,
-            &self.push_grid,
-            &self.decay,
-            &self.table4,
-            &self.directions,
-            &self.leash,
-            &self.r#box,
-            &self.ball_pit,
-            &self.terrain,
-            &self.pulley,
-            &self.pendulum,
-            &self.rubble,
-            &self.outdoor,
-            &self.calibration,
-            &self.pull,
-            &self.wall,
-            &self.lead,
-            &self.felt,
-        ]
-    }
+protocol! {
+    walk: walk::Walk;
+    push_grid: push_grid::PushGrid;
+    decay: decay::Decay;
+    table4: table4::Table4;
+    directions: directions::Directions;
+    leash: leash::Leash;
+    r#box: free_box::FreeBox;
+    ball_pit: ball_pit::BallPit;
+    terrain: terrain::Terrain;
+    pulley: pulley::Pulley;
+    pendulum: pendulum::Pendulum;
+    rubble: rubble::Rubble;
+    outdoor: outdoor::Outdoor;
+    calibration: commanded_compliance::CommandedCompliance;
+    pull: pull::Pull;
+    wall: wall::Wall;
+    lead: lead::Lead;
+    felt: felt::Felt;
 }
 
 /// Returns the name of the gait at a forward command \[m/s\].

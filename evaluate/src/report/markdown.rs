@@ -36,7 +36,7 @@ pub fn claim_cells(claim: &Claim) -> Vec<String> {
 /// Returns the column titles of [`claim_cells`].
 pub fn claim_columns(names: &[String]) -> Vec<String> {
     let [difference, relative] = with_pair_names(names, ["difference [95 % interval]", "relative [95 % interval]"]);
-    let paper = ["the paper's claim", "its numbers (compliant / baseline)"];
+    let paper = ["claim", "the paper's numbers (compliant / baseline)"];
     titled(paper, names, [difference, relative, "verdict".into()])
 }
 

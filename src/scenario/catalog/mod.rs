@@ -52,90 +52,80 @@ pub use terrain::*;
 pub use walk::*;
 pub use wall::*;
 
-/// Default parameters of every scenario: name and YAML text.
-pub const DEFAULTS: &[(&str, &str)] = &[
-    ("walk", include_str!("../../../configs/scenarios/walk.yaml")),
-    ("push", include_str!("../../../configs/scenarios/push.yaml")),
-    ("leash", include_str!("../../../configs/scenarios/leash.yaml")),
-    ("lead", include_str!("../../../configs/scenarios/lead.yaml")),
-    ("wall", include_str!("../../../configs/scenarios/wall.yaml")),
-    ("box", include_str!("../../../configs/scenarios/box.yaml")),
-    ("ball-pit", include_str!("../../../configs/scenarios/ball-pit.yaml")),
-    ("terrain", include_str!("../../../configs/scenarios/terrain.yaml")),
-    ("pulley", include_str!("../../../configs/scenarios/pulley.yaml")),
-    ("pendulum", include_str!("../../../configs/scenarios/pendulum.yaml")),
-    ("rubble", include_str!("../../../configs/scenarios/rubble.yaml")),
-    ("outdoor", include_str!("../../../configs/scenarios/outdoor.yaml")),
-];
+/// Defines [`Scenario`] and its defaults from the list of scenarios: text of the command line, name, and type of the parameters.
+macro_rules! scenarios {
+    ($($text:literal, $name:literal => $Variant:ident($Parameters:ty);)*) => {
+        /// Default parameters of every scenario: name and YAML text.
+        pub const DEFAULTS: &[(&str, &str)] =
+            &[$(($name, include_str!(concat!("../../../configs/scenarios/", $name, ".yaml")))),*];
 
-/// A scenario with its parameters.
-///
-/// ```
-/// use supple::config::Config;
-/// use supple::scenario::catalog::Scenario;
-///
-/// let scenario = Scenario::named("push", "{push_m_s: 0.5, at_s: 1.0}")?; // the other parameters have defaults
-/// let script = scenario.script(3, &Config::load("compliant")?)?;
-/// let push = script.pushes().next().ok_or("no push")?;
-/// assert_eq!(push.linear[0].hypot(push.linear[1]), 0.5); // [m/s]
-/// assert!((1.0..1.65).contains(&push.at_s)); // the seed draws the phase of the gait
-/// # Ok::<(), Box<dyn std::error::Error>>(())
-/// ```
-#[derive(Subcommand, Debug, Clone, PartialEq, Serialize)]
-#[serde(untagged)]
-pub enum Scenario {
-    /// Walk without disturbance (E0)
-    Walk(Walk),
-    /// Push the trunk once or again and again (E1 to E4)
-    Push(PushTrunk),
-    /// Pull the trunk with a constant force (E5)
-    Leash(Leash),
-    /// Lead the robot by a leash (E14)
-    Lead(Lead),
-    /// Walk into a soft wall (E14)
-    Wall(Wall),
-    /// Walk into a free box (E6)
-    Box(FreeBox),
-    /// Cross a field of loose balls (E7)
-    BallPit(BallPit),
-    /// Walk over Perlin terrain, steps or a slope (E8)
-    Terrain(Terrain),
-    /// Pull the trunk with a weight over a pulley (E9)
-    Pulley(Pulley),
-    /// Swing a ball on a string into the trunk (E10)
-    Pendulum(Pendulum),
-    /// Walk over wooden blocks and soft mats (E11)
-    Rubble(Rubble),
-    /// Walk over hills of varied friction (E11)
-    Outdoor(Outdoor),
+        /// A scenario with its parameters.
+        ///
+        /// ```
+        /// use supple::config::Config;
+        /// use supple::scenario::catalog::Scenario;
+        ///
+        /// let scenario = Scenario::named("push", "{push_m_s: 0.5, at_s: 1.0}")?; // the other parameters have defaults
+        /// let script = scenario.script(3, &Config::load("compliant")?)?;
+        /// let push = script.pushes().next().ok_or("no push")?;
+        /// assert_eq!(push.linear[0].hypot(push.linear[1]), 0.5); // [m/s]
+        /// assert!((1.0..1.65).contains(&push.at_s)); // the seed draws the phase of the gait
+        /// # Ok::<(), Box<dyn std::error::Error>>(())
+        /// ```
+        #[derive(Subcommand, Debug, Clone, PartialEq, Serialize)]
+        #[serde(untagged)]
+        pub enum Scenario {
+            $(#[doc = $text] $Variant($Parameters),)*
+        }
+
+        impl Scenario {
+            /// Returns the scenario `name` with its default parameters, except those given in `parameters` as YAML.
+            ///
+            /// # Errors
+            /// There is no such scenario (the error lists those that exist), or a parameter is unknown or has the wrong type.
+            pub fn named(name: &str, parameters: &str) -> Result<Self, YamlError> {
+                Ok(match name {
+                    $($name => Scenario::$Variant(with_parameters(name, parameters)?),)*
+                    _ => {
+                        let known: Vec<&str> = DEFAULTS.iter().map(|(name, _)| *name).collect();
+                        let problem = format!("no such scenario; there are: {}", known.join(", "));
+                        return Err(YamlError::new(name, problem));
+                    }
+                })
+            }
+
+            /// Returns name, common parameters and all parameters.
+            fn parts(&self) -> (&'static str, &Task, &dyn Parameters) {
+                match self {
+                    $(Scenario::$Variant(it) => ($name, &it.task, it),)*
+                }
+            }
+
+            fn parameters_mut(&mut self) -> &mut dyn Parameters {
+                match self {
+                    $(Scenario::$Variant(it) => it,)*
+                }
+            }
+        }
+    };
+}
+
+scenarios! {
+    "Walk without disturbance (E0)", "walk" => Walk(Walk);
+    "Push the trunk once or again and again (E1 to E4)", "push" => Push(PushTrunk);
+    "Pull the trunk with a constant force (E5)", "leash" => Leash(Leash);
+    "Lead the robot by a leash (E14)", "lead" => Lead(Lead);
+    "Walk into a soft wall (E14)", "wall" => Wall(Wall);
+    "Walk into a free box (E6)", "box" => Box(FreeBox);
+    "Cross a field of loose balls (E7)", "ball-pit" => BallPit(BallPit);
+    "Walk over Perlin terrain, steps or a slope (E8)", "terrain" => Terrain(Terrain);
+    "Pull the trunk with a weight over a pulley (E9)", "pulley" => Pulley(Pulley);
+    "Swing a ball on a string into the trunk (E10)", "pendulum" => Pendulum(Pendulum);
+    "Walk over wooden blocks and soft mats (E11)", "rubble" => Rubble(Rubble);
+    "Walk over hills of varied friction (E11)", "outdoor" => Outdoor(Outdoor);
 }
 
 impl Scenario {
-    /// Returns the scenario `name` with its default parameters, except those given in `parameters` as YAML.
-    ///
-    /// # Errors
-    /// There is no such scenario (the error lists those that exist), or a parameter is unknown or has the wrong type.
-    pub fn named(name: &str, parameters: &str) -> Result<Self, YamlError> {
-        Ok(match name {
-            "walk" => Scenario::Walk(with_parameters(name, parameters)?),
-            "push" => Scenario::Push(with_parameters(name, parameters)?),
-            "leash" => Scenario::Leash(with_parameters(name, parameters)?),
-            "lead" => Scenario::Lead(with_parameters(name, parameters)?),
-            "wall" => Scenario::Wall(with_parameters(name, parameters)?),
-            "box" => Scenario::Box(with_parameters(name, parameters)?),
-            "ball-pit" => Scenario::BallPit(with_parameters(name, parameters)?),
-            "terrain" => Scenario::Terrain(with_parameters(name, parameters)?),
-            "pulley" => Scenario::Pulley(with_parameters(name, parameters)?),
-            "pendulum" => Scenario::Pendulum(with_parameters(name, parameters)?),
-            "rubble" => Scenario::Rubble(with_parameters(name, parameters)?),
-            "outdoor" => Scenario::Outdoor(with_parameters(name, parameters)?),
-            _ => {
-                let known: Vec<&str> = DEFAULTS.iter().map(|(name, _)| *name).collect();
-                return Err(YamlError::new(name, format!("no such scenario; there are: {}", known.join(", "))));
-            }
-        })
-    }
-
     /// Returns the scenario's name on the command line.
     pub fn name(&self) -> &'static str {
         self.parts().0
@@ -144,41 +134,6 @@ impl Scenario {
     /// Returns the parameters that every scenario has.
     pub fn task(&self) -> &Task {
         self.parts().1
-    }
-
-    /// Returns name, common parameters and all parameters.
-    fn parts(&self) -> (&'static str, &Task, &dyn Parameters) {
-        match self {
-            Scenario::Walk(it) => ("walk", &it.task, it),
-            Scenario::Push(it) => ("push", &it.task, it),
-            Scenario::Leash(it) => ("leash", &it.task, it),
-            Scenario::Lead(it) => ("lead", &it.task, it),
-            Scenario::Wall(it) => ("wall", &it.task, it),
-            Scenario::Box(it) => ("box", &it.task, it),
-            Scenario::BallPit(it) => ("ball-pit", &it.task, it),
-            Scenario::Terrain(it) => ("terrain", &it.task, it),
-            Scenario::Pulley(it) => ("pulley", &it.task, it),
-            Scenario::Pendulum(it) => ("pendulum", &it.task, it),
-            Scenario::Rubble(it) => ("rubble", &it.task, it),
-            Scenario::Outdoor(it) => ("outdoor", &it.task, it),
-        }
-    }
-
-    fn parameters_mut(&mut self) -> &mut dyn Parameters {
-        match self {
-            Scenario::Walk(it) => it,
-            Scenario::Push(it) => it,
-            Scenario::Leash(it) => it,
-            Scenario::Lead(it) => it,
-            Scenario::Wall(it) => it,
-            Scenario::Box(it) => it,
-            Scenario::BallPit(it) => it,
-            Scenario::Terrain(it) => it,
-            Scenario::Pulley(it) => it,
-            Scenario::Pendulum(it) => it,
-            Scenario::Rubble(it) => it,
-            Scenario::Outdoor(it) => it,
-        }
     }
 }
 

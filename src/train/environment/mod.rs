@@ -291,7 +291,7 @@ impl LocomotionEnv {
         self.world.sim().data().bytes()
     }
 
-    /// Returns the random part of this episode, but for the disturbances, which are [planned](World::planned) in the world.
+    /// Returns the random part of this episode, but for the disturbances, which the world has.
     pub fn plan(&self) -> &EpisodePlan {
         &self.progress.plan
     }

@@ -155,17 +155,6 @@ impl Acting {
         })
     }
 
-    /// Returns the disturbance.
-    pub(super) fn value(&self) -> Disturbance {
-        match self {
-            Acting::Push(push, _) => Disturbance::Push(*push),
-            Acting::Pull(pull, _) => Disturbance::Pull(*pull),
-            Acting::Spring(spring, _) => Disturbance::Spring(spring.clone()),
-            Acting::Rig(rig, _) => Disturbance::Rig(rig.clone()),
-            Acting::Hold(hold, _) => Disturbance::Hold(*hold),
-        }
-    }
-
     /// Returns true for the kinds that exert a force on the trunk of their own.
     pub(super) fn is_force(&self) -> bool {
         matches!(self, Acting::Pull(..) | Acting::Spring(..))
