@@ -165,7 +165,7 @@ impl Live {
     fn act(&mut self, act: Act) -> anyhow::Result<()> {
         match bounded(act, &self.world.range()) {
             Act::Command(command) => self.command(command),
-            Act::Pull(force) => self.hold(force),
+            Act::Hand(force) => self.hold(force),
             act => self.input(Input::Act(act)),
         }
     }
@@ -183,7 +183,7 @@ impl Live {
             return Ok(());
         }
         self.pull = force;
-        self.input(Input::Act(Act::Pull(force)))
+        self.input(Input::Act(Act::Hand(force)))
     }
 
     fn let_go(&mut self) -> anyhow::Result<()> {

@@ -177,7 +177,7 @@ impl Publisher {
                     meter.push(unit.velocity(*size, facts.weight_n / GRAVITY_M_S2));
                 }
             }
-            Input::Act(Act::Pull(force)) => self.meters.iter_mut().for_each(|meter| meter.pull(*force)),
+            Input::Act(Act::Hand(force)) => self.meters.iter_mut().for_each(|meter| meter.pull(*force)),
             Input::Setup(_) => self.begin(world),
             Input::Renew { .. } | Input::Act(Act::Reset | Act::Comply { .. }) => self.is_stale = true,
             Input::Act(Act::Command(_)) => {}

@@ -90,7 +90,7 @@ pub fn bounded(act: Act, range: &Command) -> Act {
             };
             Act::Push { size: limited(size, most), unit }
         }
-        Act::Pull(force) => Act::Pull(force.map(|force| limited(force, MOST_PULL_N))),
+        Act::Hand(force) => Act::Hand(force.map(|force| limited(force, MOST_PULL_N))),
         Act::Comply { .. } | Act::Reset => act,
     }
 }
@@ -184,7 +184,7 @@ mod tests {
         for (text, act) in [
             (r#"{"command":[0.5,0,-1]}"#, Act::Command(Command::velocity(0.5, 0.0, -1.0))),
             (r#"{"push":{"size":[0,1.5],"unit":"m/s"}}"#, Act::Push { size: [0.0, 1.5], unit: PushUnit::Velocity }),
-            (r#"{"pull":null}"#, Act::Pull(None)),
+            (r#"{"pull":null}"#, Act::Hand(None)),
             (r#"{"comply":{"robot":1,"compliance":null}}"#, Act::Comply { robot: 1, compliance: None }),
             (r#""reset""#, Act::Reset),
         ] {

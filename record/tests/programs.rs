@@ -83,8 +83,8 @@ fn a_session_is_measured_before_and_after_its_robot_is_told_to_yield() {
     let inputs = [
         (240, Input::Act(Act::Push { size: [0.0, 0.5], unit: PushUnit::Velocity })),
         (1440, Input::Act(Act::Comply { robot: 0, compliance: Some(0.03) })),
-        (1680, Input::Act(Act::Pull(Some([0.0, 10.0])))),
-        (1920, Input::Act(Act::Pull(None))),
+        (1680, Input::Act(Act::Hand(Some([0.0, 10.0])))),
+        (1920, Input::Act(Act::Hand(None))),
     ];
     keep(&inputs, 2160, &path);
     let output = run("scenario", folder.path(), &["session", "kept.jsonl", "--json"]);

@@ -157,26 +157,26 @@ mod tests {
     }
 
     /// A robot that walks at 0.5 m/s, and what it feels.
-    struct Walk {
+    struct WalkingRobot {
         agent: Agent,
         sim: Sim,
-        tap: Tap,
+        tap: ForceTap,
     }
 
-    struct Tap {
+    struct ForceTap {
         sense: ForceSense,
         senses: Option<Senses>,
         felt: Vec<ExternalForces>,
     }
 
-    impl StepObserver for Tap {
+    impl StepObserver for ForceTap {
         fn forces(&mut self, data: &Data, parts: &Parts, torques: &Joints) {
             self.senses.iter_mut().for_each(|senses| senses.read(data, parts));
             self.felt.push(*self.sense.read(data, parts, torques, self.senses.as_ref()).unwrap());
         }
     }
 
-    impl Walk {
+    impl WalkingRobot {
         /// Noise of this seed, or the true state; the joints are as the policy's configuration has them, or lossy.
         fn new(policy: &str, losses: JointLosses, noise: Option<u64>) -> Self {
             let agent = shipped::find(policy).unwrap();
@@ -191,7 +191,7 @@ mod tests {
             };
             let senses = noise.map(senses);
             let sense = ForceSense::new(&sim, &CONDITIONS).unwrap();
-            Walk { agent, sim, tap: Tap { sense, senses, felt: Vec::new() } }
+            WalkingRobot { agent, sim, tap: ForceTap { sense, senses, felt: Vec::new() } }
         }
 
         /// Plays from a standstill. `act` may do something before each policy step. Returns what was felt in each step.
@@ -251,7 +251,7 @@ mod tests {
             let cases = [(JointLosses::Ideal, None), (JointLosses::Realistic, None), (JointLosses::Ideal, Some(1))];
             for ((losses, noise), (limit, calm)) in cases.into_iter().zip([(0.5, 0.1), (0.5, 0.3), (1.5, 1.0)]) {
                 for pull in [[0.0, 0.0], [20.0, 0.0], [-14.0, 14.0], [0.0, -20.0]] {
-                    let (rms, statistics) = Walk::new(policy, losses, noise).errors(pull);
+                    let (rms, statistics) = WalkingRobot::new(policy, losses, noise).errors(pull);
                     let limit = if pull == [0.0; 2] { calm } else { limit };
                     assert!(rms < limit, "{policy}, {losses:?}, {noise:?}, {pull:?}: {rms:.3} {statistics:.3?}");
                 }
@@ -262,7 +262,7 @@ mod tests {
     #[test]
     fn unfiltered_force_of_a_push_integrates_to_its_impulse() {
         for linear in [[0.0, 0.5], [0.5, 0.0], [-0.5, 0.0], [0.0, -0.5]] {
-            let mut walk = Walk::new("baseline", JointLosses::Ideal, None);
+            let mut walk = WalkingRobot::new("baseline", JointLosses::Ideal, None);
             let felt = walk.play(2.1, |sim, step| {
                 if step == 120 {
                     sim.push(linear, [0.0; 3]).unwrap()
@@ -279,7 +279,7 @@ mod tests {
 
     #[test]
     fn fallen_robot_is_doubted_and_a_fresh_start_is_not() {
-        let mut walk = Walk::new("baseline", JointLosses::Ideal, None);
+        let mut walk = WalkingRobot::new("baseline", JointLosses::Ideal, None);
         let pull =
             |sim: &mut Sim, step| sim.set_trunk_force(if step < 60 { Vector3::y() * 150.0 } else { Vector3::zeros() });
         let felt = walk.play(4.0, pull);

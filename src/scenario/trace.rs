@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use crate::estimate::external_force::Doubt;
 use crate::robot::Joints;
 use crate::task::{Command, Stage, Terms};
-pub use crate::world::{Event, EventKind, Mark, Rope, Stretch};
+pub use crate::world::{Event, EventKind, Mark, Rope, SpringState};
 
 /// Position \[m\] and orientation (w, x, y, z) of a body, world frame.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -106,7 +106,7 @@ pub struct Frame {
     /// The rope, if the scene has one.
     pub rope: Option<Rope>,
     /// The spring, if the script has one and it has begun.
-    pub spring: Option<Stretch>,
+    pub spring: Option<SpringState>,
     /// The estimated state; `None` if the robot acts on the true state.
     pub sensed: Option<Sensed>,
     /// The felt forces, if they are observed.

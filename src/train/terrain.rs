@@ -40,22 +40,22 @@ pub(super) const BUFFERS: Buffers = Buffers { contacts: 100, rows: 450, stack: 1
 
 /// The kind of uneven ground.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Kind {
+pub(super) enum GroundKind {
     Rough,
     Boxes,
 }
 
-impl Kind {
+impl GroundKind {
     /// Both kinds, in the order of their numbers.
-    pub(super) const ALL: [Kind; 2] = [Kind::Rough, Kind::Boxes];
+    pub(super) const ALL: [GroundKind; 2] = [GroundKind::Rough, GroundKind::Boxes];
 }
 
 impl Terrain {
     /// Returns the kind of ground of environment `index`; `None` for a plane. Uneven ground is spread evenly over the
     /// environments, whatever ranks they belong to.
-    pub(super) fn kind(&self, index: u64) -> Option<Kind> {
+    pub(super) fn kind(&self, index: u64) -> Option<GroundKind> {
         let number = self.uneven(index);
-        let kind = if number.is_multiple_of(2) { Kind::Rough } else { Kind::Boxes };
+        let kind = if number.is_multiple_of(2) { GroundKind::Rough } else { GroundKind::Boxes };
         (self.uneven(index + 1) > number).then_some(kind)
     }
 
@@ -70,17 +70,17 @@ impl Terrain {
     }
 
     /// Returns the height of the ground on a level \[m\].
-    fn height_m(&self, kind: Kind, level: usize) -> f64 {
+    fn height_m(&self, kind: GroundKind, level: usize) -> f64 {
         let [first, last] = match kind {
-            Kind::Rough => self.rough_m,
-            Kind::Boxes => self.boxes_m,
+            GroundKind::Rough => self.rough_m,
+            GroundKind::Boxes => self.boxes_m,
         };
         first + (last - first) * level as f64 / (self.levels - 1).max(1) as f64
     }
 
     /// Builds the field of a kind, with all levels: the same one in every run. There is ground as far as `reach_m` around each
     /// start, and a margin \[m\].
-    pub(super) fn field(&self, kind: Kind, reach_m: f64) -> HeightField {
+    pub(super) fn field(&self, kind: GroundKind, reach_m: f64) -> HeightField {
         let half_size = self.half_size_m(reach_m);
         let noise = Perlin::new(0);
         let counts = half_size.map(|half| (2.0 * half / BOX_M).ceil() as usize);
@@ -89,8 +89,8 @@ impl Terrain {
         let boxes: Vec<f64> =
             (0..counts[0] * counts[1]).map(|_| [0.0, 0.0, 0.0, 0.5, 1.0][rng.random_range(0..5_usize)]).collect();
         let shape = |x: f64, y: f64| match kind {
-            Kind::Rough => noise.at(BUMPS_PER_M * x + 0.37, BUMPS_PER_M * y + 0.59) / NOISE_RANGE,
-            Kind::Boxes => {
+            GroundKind::Rough => noise.at(BUMPS_PER_M * x + 0.37, BUMPS_PER_M * y + 0.59) / NOISE_RANGE,
+            GroundKind::Boxes => {
                 let [column, row]: [usize; 2] = array::from_fn(|axis| {
                     let place = ([x, y][axis] + half_size[axis]) / BOX_M;
                     (place.max(0.0) as usize).min(counts[axis] - 1)
@@ -165,11 +165,11 @@ mod tests {
 
     #[test]
     fn half_of_the_environments_have_either_kind_in_turn() {
-        let kinds = |environments: f64| -> Vec<Option<Kind>> {
+        let kinds = |environments: f64| -> Vec<Option<GroundKind>> {
             let terrain = Terrain { environments, ..terrain() };
             (0..8).map(|index| terrain.kind(index)).collect()
         };
-        let [rough, boxes] = [Some(Kind::Rough), Some(Kind::Boxes)];
+        let [rough, boxes] = [Some(GroundKind::Rough), Some(GroundKind::Boxes)];
         assert_eq!(kinds(0.5), [None, rough, None, boxes, None, rough, None, boxes]);
         assert_eq!(kinds(0.0), [None; 8]);
         assert_eq!(kinds(1.0), [rough, boxes, rough, boxes, rough, boxes, rough, boxes]);
@@ -178,7 +178,7 @@ mod tests {
     #[test]
     fn ground_is_as_high_as_its_level_and_flat_at_the_start() {
         let terrain = terrain();
-        for (kind, [first, last]) in [(Kind::Rough, terrain.rough_m), (Kind::Boxes, terrain.boxes_m)] {
+        for (kind, [first, last]) in [(GroundKind::Rough, terrain.rough_m), (GroundKind::Boxes, terrain.boxes_m)] {
             let ground = Ground::Field(terrain.field(kind, 5.0).into());
             for level in 0..6 {
                 let [x, y] = terrain.start(level);
@@ -198,7 +198,7 @@ mod tests {
     fn ground_reaches_as_far_as_an_episode_and_a_margin() {
         // 2 + 1 + 3 s at 1 and 0.5 m/s: 6.71 m around starts at ±20 m.
         let config = Config::load("real").unwrap();
-        let [x, y] = terrain().field(Kind::Rough, config.reach_m()).half_size;
+        let [x, y] = terrain().field(GroundKind::Rough, config.reach_m()).half_size;
         assert!((x - 27.708).abs() < 1e-3 && (y - 7.708).abs() < 1e-3, "{x} {y}");
     }
 

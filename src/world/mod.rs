@@ -14,7 +14,7 @@ mod meter;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-pub use disturbance::{Disturbance, Event, EventKind, Hold, Mark, Profile, Pull, Push, Rig, Rope, Spring, Stretch};
+pub use disturbance::{Disturbance, Event, EventKind, Hold, Mark, Profile, Pull, Push, Rig, Rope, Spring, SpringState};
 
 use crate::config::{Reward, Simulation};
 use crate::mujoco::{Data, Error, Result};
@@ -40,7 +40,7 @@ pub struct WorldStep {
     /// The rope, if the world has one.
     pub rope: Option<Rope>,
     /// The spring, if the world has one and it has begun.
-    pub spring: Option<Stretch>,
+    pub spring: Option<SpringState>,
     /// How what acts is drawn.
     pub mark: Option<Mark>,
     /// Events of the disturbances.
@@ -227,7 +227,7 @@ impl World {
         touched: Option<usize>,
         forces: &mut StepForces,
         events: &mut Vec<Event>,
-    ) -> (Option<Rope>, Option<Stretch>, Option<Mark>) {
+    ) -> (Option<Rope>, Option<SpringState>, Option<Mark>) {
         let (time_s, period_s) = (self.time_s(), self.sim.policy_period_s());
         let (mut rope, mut spring, mut pull, mut marks) = (None, None, None, [None; 2]);
         for it in &mut self.disturbances {

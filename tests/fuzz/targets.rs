@@ -233,7 +233,7 @@ fn sessions() -> Vec<Vec<u8>> {
         Input::Setup(setup(SceneKind::Flat)),
         Input::Act(Act::Command(Command::velocity(0.5, 0.0, 0.1))),
         Input::Act(Act::Push { size: [0.1, 0.3], unit: PushUnit::Momentum }),
-        Input::Act(Act::Pull(Some([5.0, -10.0]))),
+        Input::Act(Act::Hand(Some([5.0, -10.0]))),
         Input::Act(Act::Comply { robot: 1, compliance: Some(0.02) }),
         Input::Act(Act::Reset),
         Input::Setup(setup(SceneKind::Box)),

@@ -7,7 +7,7 @@ use crate::section_content::{Claim, number};
 use crate::sensing;
 use crate::statistics::{Spread, Verdict, mean};
 use supple::scenario::Script;
-use supple::scenario::catalog::{BallPit, Leash, Pendulum, Pulley, PushTrunk, Rubble, Terrain, TerrainKind, Walk};
+use supple::scenario::catalog::{BallPit, Leash, Pendulum, Pulley, PushTrunk, Rubble, TerrainKind, UnevenGround, Walk};
 use supple::scenario::trace::{Felt as FeltForces, Frame};
 
 /// The error of the felt force while something pulls.
@@ -184,16 +184,16 @@ impl Felt {
         groups.push(Group::new("hit by a ball", Role::Pulled, blows));
         let walks = self.walks.iter().map(|command| (super::walk::label(*command), undisturbed(*command, 0.0)));
         groups.push(Group::new("undisturbed", Role::Calm, walks));
-        let terrain: Terrain = defaults("terrain")?;
+        let terrain: UnevenGround = defaults("terrain")?;
         let slope = |incline: &f64| {
             let label = format!("{:+.0} %", 100.0 * incline).replace('-', "−");
-            (label, Scenario::Terrain(Terrain { kind: TerrainKind::Slope, incline: *incline, ..terrain.clone() }))
+            (label, Scenario::Terrain(UnevenGround { kind: TerrainKind::Slope, incline: *incline, ..terrain.clone() }))
         };
         groups.push(Group::new("slopes", Role::Other, self.inclines.iter().map(slope)));
         let one = |scenario: Scenario| [(String::new(), scenario)];
         groups.push(Group::new("ball pit", Role::Rough, one(Scenario::BallPit(defaults::<BallPit>("ball-pit")?))));
         groups.push(Group::new("rubble", Role::Rough, one(Scenario::Rubble(defaults::<Rubble>("rubble")?))));
-        let uneven = Terrain { height_m: self.terrain_m, frequency_per_m: 2.0, ..terrain.clone() };
+        let uneven = UnevenGround { height_m: self.terrain_m, frequency_per_m: 2.0, ..terrain.clone() };
         let name = format!("ground of {:.0} cm", 100.0 * self.terrain_m);
         groups.push(Group::new(name, Role::Rough, one(Scenario::Terrain(uneven))));
         for mass in &self.extra_masses_kg {

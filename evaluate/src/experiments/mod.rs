@@ -78,7 +78,7 @@ protocol! {
     rubble: rubble::Rubble;
     outdoor: outdoor::Outdoor;
     calibration: commanded_compliance::CommandedCompliance;
-    pull: pull::Pull;
+    pull: pull::PullSurvival;
     wall: wall::Wall;
     lead: lead::Lead;
     felt: felt::Felt;

@@ -11,7 +11,7 @@ const QUANTITIES: &[Quantity] = &[SURVIVED];
 /// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Pull {
+pub struct PullSurvival {
     /// The number of directions, which divide the circle evenly.
     pub directions: u32,
     /// The number of trials of each policy in each direction with each force.
@@ -24,7 +24,7 @@ pub struct Pull {
     pub for_s: f64,
 }
 
-impl Experiment for Pull {
+impl Experiment for PullSurvival {
     fn info(&self) -> ExperimentInfo {
         ExperimentInfo {
             id: "E14a",

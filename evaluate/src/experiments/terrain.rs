@@ -1,7 +1,7 @@
 //! E8: walking over Perlin terrain of several heights and frequencies (Fig. 7b).
 
 use super::prelude::*;
-use supple::scenario::catalog::{Terrain as TerrainScenario, TerrainKind};
+use supple::scenario::catalog::{TerrainKind, UnevenGround};
 
 const QUANTITIES: &[Quantity] = &[
     Quantity::new("success", "no fall in 10 s", "%", 0),
@@ -39,10 +39,10 @@ impl Experiment for Terrain {
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
-        let base: TerrainScenario = defaults("terrain")?;
+        let base: UnevenGround = defaults("terrain")?;
         let condition = |height_m: f64, frequency_per_m: f64| Condition {
             label: format!("{:.0} cm, {} /m", 100.0 * height_m, brief(frequency_per_m)),
-            scenario: Scenario::Terrain(TerrainScenario {
+            scenario: Scenario::Terrain(UnevenGround {
                 kind: TerrainKind::Perlin,
                 height_m,
                 frequency_per_m,

@@ -116,7 +116,7 @@ impl Page {
             match self.publisher.driver.take(message) {
                 Heard::Request(Request::Act(act)) => match bounded(act, &self.robot.range) {
                     Act::Command(command) => self.command = command,
-                    Act::Pull(force) => self.hold(force, body),
+                    Act::Hand(force) => self.hold(force, body),
                     act @ Act::Push { size, unit } => {
                         let linear = unit.velocity(size, self.robot.scene.robot.mass_kg);
                         body.playback().push(linear);
@@ -139,7 +139,7 @@ impl Page {
         if force != self.pull {
             self.pull = force;
             body.playback().pull(force);
-            self.publisher.note_input(&self.robot, &Input::Act(Act::Pull(force)));
+            self.publisher.note_input(&self.robot, &Input::Act(Act::Hand(force)));
         }
     }
 
@@ -209,7 +209,7 @@ mod tests {
         play(&mut page, 500);
         ask(Act::Command(Command::velocity(7.0, 0.0, -0.25)));
         ask(Act::Push { size: [0.0, 0.5], unit: PushUnit::Velocity });
-        ask(Act::Pull(Some([0.0, 500.0])));
+        ask(Act::Hand(Some([0.0, 500.0])));
         let frame = play(&mut page, 10);
         assert!(frame.velocity_in_heading[1] > 0.3, "{:?}", frame.velocity_in_heading);
         assert_eq!(page.command(), Command::velocity(1.0, 0.0, -0.25));

@@ -118,7 +118,7 @@ scenarios! {
     "Walk into a soft wall (E14)", "wall" => Wall(Wall);
     "Walk into a free box (E6)", "box" => Box(FreeBox);
     "Cross a field of loose balls (E7)", "ball-pit" => BallPit(BallPit);
-    "Walk over Perlin terrain, steps or a slope (E8)", "terrain" => Terrain(Terrain);
+    "Walk over Perlin terrain, steps or a slope (E8)", "terrain" => Terrain(UnevenGround);
     "Pull the trunk with a weight over a pulley (E9)", "pulley" => Pulley(Pulley);
     "Swing a ball on a string into the trunk (E10)", "pendulum" => Pendulum(Pendulum);
     "Walk over wooden blocks and soft mats (E11)", "rubble" => Rubble(Rubble);

@@ -16,7 +16,7 @@ use crate::robot::{Extent, GRAVITY_M_S2};
 use crate::scenario::Script;
 use crate::scenario::metrics::{self, Metric, STRIDE_S};
 use crate::scenario::trace::{Frame, Trace};
-use crate::world::disturbance::{Disturbance, Holder, Load, Rig, Shape};
+use crate::world::disturbance::{Disturbance, Holder, Load, LoadShape, Rig};
 
 /// Time after the first contact within which the trunk reaches its largest velocity \[s\].
 const LONGEST_BLOW_S: f64 = 0.2;
@@ -108,7 +108,7 @@ impl Pendulum {
                 name: "ball".into(),
                 place: at(lowest_m - away_m, self.release_height_m),
                 mass_kg: self.mass_kg,
-                shape: Shape::Ball(self.radius_m),
+                shape: LoadShape::Ball(self.radius_m),
             },
             is_level_with_trunk: true,
             slack_m: 0.0,

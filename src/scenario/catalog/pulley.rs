@@ -14,7 +14,7 @@ use crate::robot::HARNESS;
 use crate::scenario::Script;
 use crate::scenario::metrics::{self, Metric};
 use crate::scenario::trace::{Frame, Trace};
-use crate::world::disturbance::{Disturbance, Holder, Load, Rig, Shape};
+use crate::world::disturbance::{Disturbance, Holder, Load, LoadShape, Rig};
 
 /// Density of the weight, a cube of steel [kg/m³].
 const STEEL_KG_M3: f64 = 7850.0;
@@ -81,7 +81,7 @@ impl Pulley {
                 name: "weight".into(),
                 place: at(upper_m, self.start_height_m()),
                 mass_kg: self.mass_kg,
-                shape: Shape::Cube(self.half_edge_m()),
+                shape: LoadShape::Cube(self.half_edge_m()),
             },
             is_level_with_trunk: false,
             slack_m: self.slack_m,

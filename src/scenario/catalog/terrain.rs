@@ -29,7 +29,7 @@ pub enum TerrainKind {
 
 /// Terrain: uneven ground.
 #[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Terrain {
+pub struct UnevenGround {
     /// The parameters that every scenario has.
     #[command(flatten)]
     #[serde(flatten)]
@@ -54,7 +54,7 @@ pub struct Terrain {
     pub incline: f64,
 }
 
-impl Parameters for Terrain {
+impl Parameters for UnevenGround {
     fn prepare(&self, script: &mut Script, seed: u64) -> Result<(), ParameterError> {
         in_range("height-m", self.height_m, 0.0, 2.0, "0 to 2 m")?;
         in_range("frequency-per-m", self.frequency_per_m, 0.01, 10.0, "0.01 to 10 per metre")?;

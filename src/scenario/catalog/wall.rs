@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::{ParameterError, Parameters, Task, in_range, metric};
 use crate::scenario::Script;
 use crate::scenario::metrics::{self, Metric};
-use crate::scenario::trace::{Frame, Stretch, Trace};
+use crate::scenario::trace::{Frame, SpringState, Trace};
 use crate::world::disturbance::{Disturbance, Spring, SpringEnd};
 
 /// Duration of the first impact \[s\].
@@ -59,7 +59,7 @@ impl Parameters for Wall {
             let sum: f64 = pressed(until_s).map(|frame| spring(frame).force_n * trace.period_s).sum();
             (met_s.is_some() && until_s < end_s + 1e-9).then_some(sum)
         };
-        let largest = |of: fn(&Stretch) -> f64| metrics::largest(pressed(end_s), |frame| of(&spring(frame)));
+        let largest = |of: fn(&SpringState) -> f64| metrics::largest(pressed(end_s), |frame| of(&spring(frame)));
         let whole = impulse(last_s).filter(|_| trace.fall().is_none());
         let blow = met_s.and_then(|met_s| impulse(met_s + BLOW_S));
         found.extend([

@@ -227,7 +227,7 @@ impl LiveSession {
                 let linear = unit.velocity(*size, rollout.sim().robot().mass_kg);
                 rollout.push(linear);
             }),
-            Act::Pull(force) => self.rollouts().for_each(|rollout| rollout.pull(*force)),
+            Act::Hand(force) => self.rollouts().for_each(|rollout| rollout.pull(*force)),
             Act::Comply { robot, compliance } => {
                 let (seat, player) = self.robot(*robot)?;
                 seat.compliance = player.agent.resolve_compliance(*compliance, None)?;

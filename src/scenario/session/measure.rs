@@ -47,7 +47,7 @@ pub fn takes(playback: &mut SessionReplay) -> Result<Vec<Take>, SessionError> {
                         watched.take.pushes.extend(disturbed);
                     }
                 }
-                Input::Act(Act::Pull(force)) => current.iter_mut().for_each(|watched| watched.pull(*force)),
+                Input::Act(Act::Hand(force)) => current.iter_mut().for_each(|watched| watched.pull(*force)),
                 Input::Act(Act::Comply { robot, .. }) | Input::Renew { robot, .. } => {
                     let seat = playback.world.setup().robots[*robot].clone();
                     takes.push(current[*robot].go_on_as(seat));

@@ -98,7 +98,8 @@ pub enum Act {
         unit: PushUnit,
     },
     /// Pulls the trunks from now on, forward and left in the heading frame \[N\]; `None` ends the pull.
-    Pull(Option<[f64; 2]>),
+    #[serde(rename = "pull")]
+    Hand(Option<[f64; 2]>),
     /// Changes the commanded compliance of one robot: see [`Seat::compliance`].
     Comply {
         /// Index of the robot.
@@ -118,9 +119,9 @@ impl Act {
             Act::Command(Command { forward, left, yaw, compliance, .. }) => {
                 all(&[*forward, *left, *yaw]) && compliance.is_none_or(f64::is_finite)
             }
-            Act::Push { size: numbers, .. } | Act::Pull(Some(numbers)) => all(numbers),
+            Act::Push { size: numbers, .. } | Act::Hand(Some(numbers)) => all(numbers),
             Act::Comply { compliance, .. } => compliance.is_none_or(f64::is_finite),
-            Act::Pull(None) | Act::Reset => true,
+            Act::Hand(None) | Act::Reset => true,
         }
     }
 }

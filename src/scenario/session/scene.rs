@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::config::{Config, ConfigError};
 use crate::scenario::catalog::{
-    BallPit, FreeBox, Outdoor, Rubble, Scenario, ScriptError, Task, Terrain, Walk, defaults,
+    BallPit, FreeBox, Outdoor, Rubble, Scenario, ScriptError, Task, UnevenGround, Walk, defaults,
 };
 use crate::scenario::{Goal, Script};
 use crate::task::Command;
@@ -56,8 +56,8 @@ impl SceneKind {
             SceneKind::Flat => Scenario::Walk(defaults::<Walk>("walk")?),
             SceneKind::BallPit => Scenario::BallPit(defaults::<BallPit>("ball-pit")?),
             SceneKind::Terrain => {
-                let terrain: Terrain = defaults("terrain")?;
-                Scenario::Terrain(Terrain { task: roaming(terrain.task), ..terrain })
+                let terrain: UnevenGround = defaults("terrain")?;
+                Scenario::Terrain(UnevenGround { task: roaming(terrain.task), ..terrain })
             }
             SceneKind::Blocks => Scenario::Rubble(defaults::<Rubble>("rubble")?),
             SceneKind::Box => Scenario::Box(defaults::<FreeBox>("box")?),

@@ -76,9 +76,9 @@ fn sessions_replay_to_the_last_bit_from_any_setup() {
     let inputs = [
         (8, walk(0.4)),
         (60, Input::Act(Act::Push { size: [0.1, 0.3], unit: PushUnit::Velocity })),
-        (100, Input::Act(Act::Pull(Some([5.0, -10.0])))),
+        (100, Input::Act(Act::Hand(Some([5.0, -10.0])))),
         (160, Input::Act(Act::Reset)),
-        (200, Input::Act(Act::Pull(None))),
+        (200, Input::Act(Act::Hand(None))),
         (240, Input::Setup(boxed)),
         (244, walk(0.3)),
         (300, Input::Act(Act::Push { size: [4.0, 0.0], unit: PushUnit::Momentum })),
@@ -109,11 +109,11 @@ fn commanded_compliance_changes_one_robot_only() {
     let comply = |compliance| Input::Act(Act::Comply { robot: 1, compliance: Some(compliance) });
     let inputs = [
         (8, walk(0.5)),
-        (240, Input::Act(Act::Pull(Some([10.0, 0.0])))),
-        (1200, Input::Act(Act::Pull(None))),
+        (240, Input::Act(Act::Hand(Some([10.0, 0.0])))),
+        (1200, Input::Act(Act::Hand(None))),
         (1440, comply(0.04)),
-        (1680, Input::Act(Act::Pull(Some([10.0, 0.0])))),
-        (2640, Input::Act(Act::Pull(None))),
+        (1680, Input::Act(Act::Hand(Some([10.0, 0.0])))),
+        (2640, Input::Act(Act::Hand(None))),
     ];
     let (world, mut writer) = drive(&inputs, 2700);
     let folder = tempfile::tempdir().unwrap();
@@ -359,7 +359,7 @@ fn words_of_session_files_are_read() {
             Input::Act(Act::Push { size: [0.0, 1.0], unit: PushUnit::Momentum }),
             r#"{"push":{"size":[0.0,1.0],"unit":"N·s"}}"#,
         ),
-        (Input::Act(Act::Pull(None)), r#"{"pull":null}"#),
+        (Input::Act(Act::Hand(None)), r#"{"pull":null}"#),
         (Input::Act(Act::Comply { robot: 1, compliance: None }), r#"{"comply":{"robot":1,"compliance":null}}"#),
         (Input::Act(Act::Reset), r#""reset""#),
         (Input::Renew { robot: 0, sha256: "a".into() }, r#"{"renew":{"robot":0,"sha256":"a"}}"#),

@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 pub use report::{EnvStep, EpisodeEnd, EpisodeFault, EpisodeReport};
 
 use super::TrainError;
-use super::terrain::{self, Course, Kind};
+use super::terrain::{self, Course, GroundKind};
 use super::{Curriculum, EpisodePlan};
 use crate::config::{Config, ValueError};
 use crate::mujoco;
@@ -95,7 +95,7 @@ impl Shared {
             critic: critic.map(Arc::new),
             fields: config.terrain.as_ref().map(|terrain| {
                 let reach_m = config.reach_m();
-                Kind::ALL.map(|kind| Arc::new(terrain.field(kind, reach_m)))
+                GroundKind::ALL.map(|kind| Arc::new(terrain.field(kind, reach_m)))
             }),
         })
     }

@@ -17,8 +17,8 @@ use serde::{Deserialize, Serialize};
 pub use hold::Hold;
 pub use pull::{Profile, Pull, PullFrame};
 pub use push::Push;
-pub use rig::{Holder, Load, Rig, Rope, Shape};
-pub use spring::{Spring, SpringEnd, Stretch};
+pub use rig::{Holder, Load, LoadShape, Rig, Rope};
+pub use spring::{Spring, SpringEnd, SpringState};
 
 use crate::mujoco::{Data, Result};
 use crate::observation::Command;

@@ -72,13 +72,13 @@ pub struct Load {
     /// Mass of the load \[kg\].
     pub mass_kg: f64,
     /// Shape of the load.
-    pub shape: Shape,
+    pub shape: LoadShape,
 }
 
 /// Shape of a load.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Shape {
+pub enum LoadShape {
     /// A cube of half this edge \[m\].
     Cube(f64),
     /// A ball of this radius \[m\].
@@ -124,8 +124,8 @@ impl Rig {
         }
         let Load { name, place, mass_kg, shape } = &self.load;
         let shape = match shape {
-            Shape::Cube(half) => format!(r#"type="box" size="{half} {half} {half}""#),
-            Shape::Ball(radius) => format!(r#"type="sphere" size="{radius}""#),
+            LoadShape::Cube(half) => format!(r#"type="box" size="{half} {half} {half}""#),
+            LoadShape::Ball(radius) => format!(r#"type="sphere" size="{radius}""#),
         };
         bodies
             + &format!(

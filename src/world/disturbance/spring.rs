@@ -61,7 +61,7 @@ impl SpringEnd {
 
 /// A spring between the trunk and a point, in a policy step.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Stretch {
+pub struct SpringState {
     /// Stretch in the last physics step; negative while slack \[m\].
     pub stretch_m: f64,
     /// Force on the trunk, mean over the step's physics steps \[N\].
@@ -135,9 +135,10 @@ impl Memory {
 
     /// Returns the stretch and forces of the last policy step, with an event text if the spring acted for the first time;
     /// `None` before the point has started to move.
-    pub(in crate::world) fn after_step(&mut self, spring: &Spring) -> Option<(Stretch, Option<&'static str>)> {
+    pub(in crate::world) fn after_step(&mut self, spring: &Spring) -> Option<(SpringState, Option<&'static str>)> {
         let forces = std::mem::take(&mut self.forces);
-        let stretch = Stretch { stretch_m: self.stretch_m?, force_n: forces.mean_n(), peak_force_n: forces.peak_n() };
+        let stretch =
+            SpringState { stretch_m: self.stretch_m?, force_n: forces.mean_n(), peak_force_n: forces.peak_n() };
         let acts_first = stretch.peak_force_n > 0.0 && !std::mem::replace(&mut self.has_acted, true);
         Some((stretch, acts_first.then(|| spring.end.text())))
     }
