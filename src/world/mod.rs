@@ -10,6 +10,8 @@ the feet. It saves them, and what each disturbance remembers, with the simulatio
 
 pub mod disturbance;
 mod meter;
+#[cfg(test)]
+mod tests;
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};

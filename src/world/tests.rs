@@ -1,0 +1,98 @@
+//! Tests of the world.
+
+use super::*;
+use crate::config::Config;
+
+/// Creates a world in which the Go1 stands, with these disturbances to come, and the pose that it holds.
+fn standing(disturbances: impl IntoIterator<Item = Disturbance>) -> (World, Joints) {
+    let config = Config::load("compliant").unwrap();
+    let pose = config.action.nominal_pose_rad.joints();
+    let scene = Scene::flat(config.robot.load().unwrap(), config.simulation.timestep_s());
+    let mut world = World::new(&scene, &config.simulation, 0.2, config.reward).unwrap();
+    let conditions = Conditions { gravity: [0.0, 0.0, -9.81], friction: 0.8, encoder_bias: [0.0; JOINTS] };
+    world.begin(conditions, &pose, disturbances).unwrap();
+    (world, pose)
+}
+
+fn step(world: &mut World, pose: &Joints) -> WorldStep {
+    world.step(pose, &Command::default(), |_, _, _| ()).unwrap()
+}
+
+#[test]
+fn true_force_is_the_sum_of_what_acts() {
+    let ramp = Pull { profile: Profile::Ramp { rise_s: 0.2 }, ..Pull::constant([0.1, 0.5], [12.0, 0.0]) };
+    let constant = Pull::constant([0.2, 0.5], [0.0, 4.0]);
+    let (mut world, pose) = standing([Disturbance::Pull(ramp), Disturbance::Pull(constant)]);
+    let mut texts = Vec::new();
+    for index in 0..36 {
+        if index == 24 {
+            world.pull_by_hand(Some([0.0, -3.0]));
+        }
+        let WorldStep { forces, events, mark, .. } = step(&mut world, &pose);
+        // Physics steps begin at 0, 1/240, 2/240 and 3/240 s of the policy step.
+        let middle_s = f64::from(index) / 60.0 + 1.5 / 240.0;
+        let part = |rise_s: f64| ((middle_s - 0.1) / rise_s).clamp(0.0, 1.0);
+        let x = if (6..30).contains(&index) { 12.0 * part(0.2) } else { 0.0 };
+        let y = if (12..30).contains(&index) { 4.0 } else { 0.0 } - if index >= 24 { 3.0 } else { 0.0 };
+        // The heading of the hand's force has hardly changed, and the ramp ends within a policy step.
+        assert!(
+            (forces.trunk - Vector3::new(x, y, 0.0)).norm() < 0.2,
+            "step {index}: {:?}, expected {x}, {y}",
+            forces.trunk
+        );
+        assert_eq!(mark.is_some(), index >= 6, "step {index}");
+        texts.extend(events.into_iter().map(|event| event.text));
+    }
+    let [grows, joins, hand, ends] =
+        ["pull: +12.0 N", "pull: +0.0 N forward, +4.0", "pull: +0.0 N forward, -3.0", "pull ends"];
+    assert_eq!(texts.len(), 5);
+    for (text, expected) in texts.iter().zip([grows, joins, hand, ends, ends]) {
+        assert!(text.starts_with(expected), "{text}");
+    }
+    world.pull_by_hand(None);
+    let WorldStep { forces, events, .. } = step(&mut world, &pose);
+    assert_eq!((forces.trunk, events[0].text.as_str()), (Vector3::zeros(), "pull ends"));
+    assert_eq!(world.disturbances.len(), 2);
+}
+
+#[test]
+fn restored_world_goes_on_with_the_same_bits() {
+    let pull = Pull { profile: Profile::Sine { frequency_hz: 3.0 }, ..Pull::constant([0.05, 0.4], [20.0, 5.0]) };
+    let push = Push { at_s: 0.2, linear: [0.0, 0.4], angular: [0.0; 3] };
+    let (mut world, pose) = standing([Disturbance::Pull(pull), Disturbance::Push(push)]);
+    (0..10).for_each(|_| drop(step(&mut world, &pose)));
+    let saved = serde_json::to_string(&world.save()).unwrap();
+    let (mut other, _) = standing([]);
+    other.restore(&serde_json::from_str(&saved).unwrap()).unwrap();
+    for _ in 0..20 {
+        assert_eq!(step(&mut world, &pose), step(&mut other, &pose));
+        assert_eq!(world.save(), other.save());
+    }
+}
+
+#[test]
+fn reward_input_has_rates_of_targets_and_accelerations_of_joints() {
+    let (mut world, pose) = standing([]);
+    step(&mut world, &pose);
+    let before = world.state().joint_rates;
+    let target = pose.map(|angle| angle + 0.1);
+    step(&mut world, &target);
+    assert_eq!(world.targets, [target, pose, pose]);
+    let state = world.state().clone();
+    let input = RewardInput {
+        state: &state,
+        before: &RobotState { joint_rates: before, ..state.clone() },
+        targets: &world.targets,
+        command: &Command::default(),
+        summary: &StepSummary { power_w: 0.0, torque_n_m: 0.0, squared_torque: 0.0, fall: None },
+        landings: &Landings::default(),
+        forces: &StepForces::default(),
+        period_s: 1.0 / 60.0,
+        time_s: 2.0 / 60.0,
+        config: world.reward(),
+    };
+    // 0.1 rad in 1/60 s.
+    assert!(input.target_rates().iter().all(|rate| (rate - 6.0).abs() < 1e-9));
+    let expected = (state.joint_rates[0] - before[0]) * 60.0;
+    assert!((input.joint_accelerations()[0] - expected).abs() < 1e-9);
+}
