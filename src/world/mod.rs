@@ -208,19 +208,29 @@ impl World {
         // What a perfect observer of forces would find.
         let felt = self.state.heading().inverse() * forces.trunk;
         self.state.felt_force = Some([felt.x, felt.y]);
-        let terms = Terms::new(&RewardInput {
+        let terms = Terms::new(&self.reward_input(&before, command, (&summary, &landings, &forces)));
+        Ok(WorldStep { summary, terms, landings, forces, rope, spring, mark, events })
+    }
+
+    /// Returns the inputs of the reward's terms after a step.
+    fn reward_input<'a>(
+        &'a self,
+        before: &'a RobotState,
+        command: &'a Command,
+        (summary, landings, forces): (&'a StepSummary, &'a Landings, &'a StepForces),
+    ) -> RewardInput<'a> {
+        RewardInput {
             state: &self.state,
-            before: &before,
+            before,
             targets: &self.targets,
             command,
-            summary: &summary,
-            landings: &landings,
-            forces: &forces,
-            period_s: at.period_s,
+            summary,
+            landings,
+            forces,
+            period_s: self.sim.policy_period_s(),
             time_s: self.time_s(),
             config: &self.reward,
-        });
-        Ok(WorldStep { summary, terms, landings, forces, rope, spring, mark, events })
+        }
     }
 
     /// Takes from the disturbances what they did in the step, and forgets those of a person that are over.

@@ -74,25 +74,14 @@ fn restored_world_goes_on_with_the_same_bits() {
 fn reward_input_has_rates_of_targets_and_accelerations_of_joints() {
     let (mut world, pose) = standing([]);
     step(&mut world, &pose);
-    let before = world.state().joint_rates;
+    let before = world.state().clone();
     let target = pose.map(|angle| angle + 0.1);
-    step(&mut world, &target);
-    assert_eq!(world.targets, [target, pose, pose]);
-    let state = world.state().clone();
-    let input = RewardInput {
-        state: &state,
-        before: &RobotState { joint_rates: before, ..state.clone() },
-        targets: &world.targets,
-        command: &Command::default(),
-        summary: &StepSummary { power_w: 0.0, torque_n_m: 0.0, squared_torque: 0.0, fall: None },
-        landings: &Landings::default(),
-        forces: &StepForces::default(),
-        period_s: 1.0 / 60.0,
-        time_s: 2.0 / 60.0,
-        config: world.reward(),
-    };
+    let WorldStep { summary, landings, forces, .. } = step(&mut world, &target);
+    let command = Command::default();
+    let input = world.reward_input(&before, &command, (&summary, &landings, &forces));
+    assert_eq!(*input.targets, [target, pose, pose]);
     // 0.1 rad in 1/60 s.
     assert!(input.target_rates().iter().all(|rate| (rate - 6.0).abs() < 1e-9));
-    let expected = (state.joint_rates[0] - before[0]) * 60.0;
+    let expected = (world.state().joint_rates[0] - before.joint_rates[0]) * 60.0;
     assert!((input.joint_accelerations()[0] - expected).abs() < 1e-9);
 }
