@@ -4,10 +4,9 @@
 //! policy rate, so that robots of different rates share a session; inputs take effect with the first step that begins
 //! at their tick or later.
 
-use std::io;
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
-use std::thread::{self, JoinHandle};
+
+use rayon::prelude::*;
 
 use super::scene::SceneError;
 use super::{Act, AgentCache, AgentCacheError, Input, Seat, Setup};
@@ -78,16 +77,6 @@ pub struct LiveSession {
     players: Vec<Player>,
     /// Tick at which this setup started.
     since: u64,
-    /// Steps the second robot beside the first; `None` before the first step of two.
-    helper: Option<Helper>,
-}
-
-/// A thread that steps the second robot while the caller steps the first.
-#[derive(Debug)]
-struct Helper {
-    to: SyncSender<Player>,
-    back: Receiver<(Player, mujoco::Result<RobotStep>)>,
-    thread: JoinHandle<()>,
 }
 
 struct Player {
@@ -119,7 +108,7 @@ impl LiveSession {
         }
         let player = |seat: &Seat| Player::new(&setup, seat, shelf.take(seat)?);
         let players = setup.robots.iter().map(player).collect::<Result<_, LiveSessionError>>()?;
-        Ok(LiveSession { setup, players, since: 0, helper: None })
+        Ok(LiveSession { setup, players, since: 0 })
     }
 
     /// Sets the tick at which a session that has not been stepped starts.
@@ -130,8 +119,7 @@ impl LiveSession {
     /// Goes on with the robots of another session, which has not been stepped: the same as an [`Input::Setup`], but the
     /// robots and their scene were built before, maybe on another thread.
     pub fn replace(&mut self, next: LiveSession) {
-        let helper = self.helper.take();
-        *self = LiveSession { helper, ..next.starting_at(self.tick()) };
+        *self = next.starting_at(self.tick());
     }
 
     /// Returns the present setup.
@@ -254,25 +242,8 @@ impl LiveSession {
     /// MuJoCo fails even after a reset of the robot.
     pub fn step(&mut self) -> Result<Vec<RobotStep>, LiveSessionError> {
         let tick = self.tick() - self.since;
-        if self.players.len() == MOST_ROBOTS && self.players.iter().all(|player| player.due() == tick) {
-            return Ok(Vec::from(self.step_both()?));
-        }
-        let due = self.players.iter_mut().enumerate().filter(|(_, player)| player.due() == tick);
+        let due = self.players.par_iter_mut().enumerate().filter(|(_, player)| player.due() == tick);
         Ok(due.map(|(robot, player)| player.step(robot)).collect::<mujoco::Result<_>>()?)
-    }
-
-    /// Plays a step of both robots, in parallel if a thread can be had.
-    fn step_both(&mut self) -> mujoco::Result<[RobotStep; 2]> {
-        let Some(helper) = self.helper.take().or_else(|| Helper::start().ok()) else {
-            let [first, second] = [0, 1].map(|robot| self.players[robot].step(robot));
-            return Ok([first?, second?]);
-        };
-        let second = self.players.remove(1);
-        let (helper, second, steps) = helper.step_both(&mut self.players[0], second);
-        self.players.push(second);
-        self.helper = Some(helper);
-        let [first, second] = steps;
-        Ok([first?, second?])
     }
 
     /// Returns the SHA-256 of all positions and velocities, to compare states bit by bit.
@@ -283,37 +254,6 @@ impl LiveSession {
         });
         let bytes: Vec<u8> = numbers.flat_map(|number| number.to_bits().to_le_bytes()).collect();
         files::sha256(&[&bytes])
-    }
-}
-
-impl Helper {
-    fn start() -> io::Result<Self> {
-        let (to, players) = sync_channel::<Player>(1);
-        let (done, back) = sync_channel(1);
-        let work = move || {
-            for mut player in players {
-                let step = player.step(1);
-                if done.send((player, step)).is_err() {
-                    return;
-                }
-            }
-        };
-        let thread = thread::Builder::new().name("second robot".to_owned()).spawn(work)?;
-        Ok(Helper { to, back, thread })
-    }
-
-    fn step_both(self, first: &mut Player, second: Player) -> (Self, Player, [mujoco::Result<RobotStep>; 2]) {
-        // If the thread has ended, there is no answer either.
-        let _ = self.to.send(second);
-        let first = first.step(0);
-        match self.back.recv() {
-            Ok((player, second)) => (self, player, [first, second]),
-            // A panic of the second robot's thread is passed on.
-            Err(_) => match self.thread.join() {
-                Err(panic) => std::panic::resume_unwind(panic),
-                Ok(()) => unreachable!("the thread ends only when this end of its channel is dropped"),
-            },
-        }
     }
 }
 
