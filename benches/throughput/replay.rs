@@ -93,7 +93,7 @@ impl Replay {
                 twin.restore(&env.sim_mut().save())?;
             }
             if age == recovery_start {
-                let push = env.world().coming_push().context("no push comes after the walking stage")?;
+                let push = env.world().coming().1.context("no push comes after the walking stage")?;
                 twin.push(push.linear, push.angular)?;
             }
             if let Some(now) = now

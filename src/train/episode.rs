@@ -22,7 +22,9 @@ pub struct EpisodePlan {
     pub command: Command,
     /// Slope, friction and encoder bias.
     pub conditions: Conditions,
-    /// The push at the start of the recovery stage, the sustained pulls in order of time (world frame), and the times at
+    /// True if the robot is pushed at the start of the recovery stage; without a push the episode ends there.
+    pub is_pushed: bool,
+    /// The push, the sustained pulls in order of time (world frame), and the times at
     /// which feet may be held. They move into the world when the episode begins.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub disturbances: Vec<Disturbance>,
@@ -71,10 +73,11 @@ impl EpisodePlan {
         let drawn = |held| deviation::holds(held, length_s, rng);
         let holds = config.held_feet.as_ref().filter(|_| curriculum.pushes).map_or_else(Vec::new, drawn);
         // The push was drawn in any case, too.
-        let push = curriculum.pushes.then_some(Disturbance::Push(push));
+        let is_pushed = curriculum.pushes;
+        let push = is_pushed.then_some(Disturbance::Push(push));
         let pulls = pulls.into_iter().map(Disturbance::Pull);
         let disturbances = push.into_iter().chain(pulls).chain(holds.into_iter().map(Disturbance::Hold)).collect();
-        EpisodePlan { command, conditions, disturbances, dynamics, imu }
+        EpisodePlan { command, conditions, is_pushed, disturbances, dynamics, imu }
     }
 
     /// Returns the push, if there is one.

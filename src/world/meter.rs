@@ -38,9 +38,8 @@ impl<S> StepMeter<'_, S> {
 
 impl<S: FnMut(&Data, &Parts, &Joints)> StepObserver for StepMeter<'_, S> {
     fn trunk_force(&mut self, data: &Data) -> Option<Vector3<f64>> {
-        let mut forces = self.disturbances.iter_mut().filter(|it| it.is_force()).map(|it| it.trunk_force(data));
-        let first = forces.next()?;
-        let force = forces.fold(first, |sum, force| sum + force);
+        let force =
+            self.disturbances.iter_mut().filter_map(|it| it.trunk_force(data)).reduce(|sum, force| sum + force)?;
         self.sums.trunk += force;
         Some(force)
     }

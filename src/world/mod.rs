@@ -22,11 +22,14 @@ use crate::config::{Reward, Simulation};
 use crate::mujoco::{Data, Error, Result};
 use crate::observation::Command;
 use crate::robot::{JOINTS, Joints, LEGS, RobotState};
-use crate::sim::{Conditions, Dynamics, Parts, Scene, Sim, SimState, StepForces, StepSummary};
+use crate::sim::{Conditions, Parts, Scene, Sim, SimState, StepForces, StepSummary};
 use crate::task::reward::{Landings, RewardInput};
 use crate::task::{SwingTracker, Terms};
-use disturbance::{Acting, StepTime};
+use disturbance::{Acting, Effects, PullFrame, StepTime};
 use meter::StepMeter;
+
+/// Time for which a push is drawn \[s\].
+const PUSH_SHOWN_S: f64 = 0.3;
 
 /// The result of one policy step of a world.
 #[derive(Debug, Clone, PartialEq)]
@@ -64,10 +67,10 @@ pub struct WorldState {
 pub struct World {
     sim: Sim,
     reward: Reward,
-    /// Those of the plan or script, then those that a person adds.
+    /// The disturbances that act or are to come.
     disturbances: Vec<Acting>,
-    /// Number of the planned ones.
-    planned: usize,
+    /// Time of the last push \[s\], and its change of velocity, world frame [m/s].
+    last_push: Option<(f64, Vector3<f64>)>,
     /// Number of policy steps since the beginning.
     steps: usize,
     state: RobotState,
@@ -88,7 +91,7 @@ impl World {
             sim,
             reward,
             disturbances: Vec::new(),
-            planned: 0,
+            last_push: None,
             steps: 0,
             state: RobotState::default(),
             targets: [[0.0; JOINTS]; 3],
@@ -110,7 +113,6 @@ impl World {
         self.restart(conditions, target)?;
         self.disturbances =
             disturbances.into_iter().map(|it| Acting::new(it, &self.sim)).collect::<Result<Vec<_>>>()?;
-        self.planned = self.disturbances.len();
         Ok(())
     }
 
@@ -120,8 +122,8 @@ impl World {
     /// MuJoCo fails in the starting state.
     pub fn restart(&mut self, conditions: Conditions, target: &Joints) -> Result<()> {
         self.sim.reset(conditions, target)?;
-        // The reset has cleared all forces; a hand that still pulls begins anew.
-        for it in &mut self.disturbances[self.planned..] {
+        // The reset has cleared all forces; what still pulls begins anew.
+        for it in &mut self.disturbances {
             if let Acting::Pull(_, memory) = it {
                 *memory = Default::default();
             }
@@ -144,11 +146,7 @@ impl World {
         self.state = self.sim.state();
         self.targets = [*target; 3];
         self.swings = SwingTracker::new(&self.state.feet, self.reward.foot_height_m);
-        for it in &mut self.disturbances {
-            if let Acting::Push(_, memory) = it {
-                memory.hide();
-            }
-        }
+        self.last_push = None;
     }
 
     /// Adds a disturbance, which acts from its own time on.
@@ -162,8 +160,8 @@ impl World {
 
     /// Pulls the trunk by hand from the next step on, forward and left in the heading frame \[N\]; `None` lets go.
     pub fn pull_by_hand(&mut self, force: Option<[f64; 2]>) {
-        let hand = self.disturbances[self.planned..].iter_mut().find_map(|it| match it {
-            Acting::Pull(pull, _) => Some(pull),
+        let hand = self.disturbances.iter_mut().find_map(|it| match it {
+            Acting::Pull(pull, _) if pull.frame == PullFrame::Heading => Some(pull),
             _ => None,
         });
         match (hand, force) {
@@ -185,10 +183,12 @@ impl World {
         command: &Command,
         sensors: impl FnMut(&Data, &Parts, &Joints),
     ) -> Result<WorldStep> {
-        let (at, mut events) = (self.at(), Vec::new());
+        let (at, mut effects) = (self.at(), Effects::default());
         for it in &mut self.disturbances {
-            it.before_step(at, command, &mut self.sim, &mut events)?;
+            it.before_step(at, command, &mut self.sim, &mut effects)?;
         }
+        let Effects { mut events, impulse, pushed } = effects;
+        self.last_push = pushed.map(|change| (at.time_s, change)).or(self.last_push);
         let mut meter = StepMeter {
             disturbances: &mut self.disturbances,
             swings: &mut self.swings,
@@ -204,7 +204,9 @@ impl World {
         let before = std::mem::replace(&mut self.state, self.sim.state());
         self.targets = [*target, self.targets[0], self.targets[1]];
         let landings = self.swings.take();
+        forces.trunk += impulse / at.period_s;
         let (rope, spring, mark) = self.after_step(touched, &mut forces, &mut events);
+        self.disturbances.retain(|it| !it.is_over(at));
         // What a perfect observer of forces would find.
         let felt = self.state.heading().inverse() * forces.trunk;
         self.state.felt_force = Some([felt.x, felt.y]);
@@ -233,33 +235,25 @@ impl World {
         }
     }
 
-    /// Takes from the disturbances what they did in the step, and forgets those of a person that are over.
+    /// Takes from the disturbances what they did in the step.
     fn after_step(
         &mut self,
         touched: Option<usize>,
         forces: &mut StepForces,
         events: &mut Vec<Event>,
     ) -> (Option<Rope>, Option<SpringState>, Option<Mark>) {
-        let (time_s, period_s) = (self.time_s(), self.sim.policy_period_s());
-        let (mut rope, mut spring, mut pull, mut marks) = (None, None, None, [None; 2]);
+        let (time_s, mut rope, mut spring, mut pull, mut mark) = (self.time_s(), None, None, None, None);
         for it in &mut self.disturbances {
             match it {
-                Acting::Push(_, memory) => {
-                    if let Some(change) = memory.change() {
-                        forces.trunk += self.sim.robot().mass_kg * change / period_s;
-                    }
-                    marks[1] = memory.shown(time_s).map(|velocity| Mark::Push { velocity }).or(marks[1]);
-                }
                 Acting::Pull(value, memory) => {
-                    if memory.acts() {
-                        *pull.get_or_insert_with(Vector3::zeros) += memory.force(value, self.sim.data().time_s());
-                    }
+                    let force = memory.acting(value, self.sim.data().time_s());
+                    pull = [pull, force].into_iter().flatten().reduce(|sum: Vector3<f64>, force| sum + force);
                 }
                 Acting::Spring(value, memory) => {
-                    if let Some((stretch, text)) = memory.after_step(value) {
+                    if let Some((state, text)) = memory.after_step(value) {
                         events.extend(text.map(|text| Event::disturbance(time_s, text)));
-                        marks[0] = value.mark(stretch.force_n);
-                        spring = Some(stretch);
+                        mark = value.mark(state.force_n);
+                        spring = Some(state);
                     }
                 }
                 Acting::Rig(value, memory) => {
@@ -269,21 +263,12 @@ impl World {
                     }
                     rope = Some(found);
                 }
-                Acting::Hold(..) => {}
+                Acting::Push(..) | Acting::Hold(..) => {}
             }
         }
-        let mark = pull.map(|force| Mark::Rope { force: force.into() }).or(marks[0]).or(marks[1]);
-        let mut index = 0;
-        self.disturbances.retain(|it| {
-            index += 1;
-            index <= self.planned
-                || match it {
-                    Acting::Push(_, memory) => !memory.is_done() || memory.shown(time_s).is_some(),
-                    Acting::Pull(pull, memory) => memory.acts() || pull.until_s > time_s,
-                    _ => true,
-                }
-        });
-        (rope, spring, mark)
+        let push = self.last_push.filter(|(at_s, _)| time_s <= at_s + PUSH_SHOWN_S);
+        let push = push.map(|(_, change)| Mark::Push { velocity: change.into() });
+        (rope, spring, pull.map(|force| Mark::Rope { force: force.into() }).or(mark).or(push))
     }
 
     fn at(&self) -> StepTime {
@@ -321,43 +306,26 @@ impl World {
         &self.targets[0]
     }
 
-    /// Iterates over the pushes, each with whether it has come.
-    pub fn pushes(&self) -> impl Iterator<Item = (&Push, bool)> {
-        self.disturbances.iter().filter_map(|it| match it {
-            Acting::Push(push, memory) => Some((push, memory.is_done())),
-            _ => None,
-        })
-    }
-
-    /// Returns the push at the beginning of the coming step, if there is one.
-    pub fn coming_push(&self) -> Option<&Push> {
-        let at = self.at();
-        self.disturbances.iter().find_map(|it| match it {
-            Acting::Push(push, memory) => memory.is_coming(push, at).then_some(push),
-            _ => None,
-        })
-    }
-
-    /// Returns the force of all pulls at the beginning of the coming step, world frame \[N\].
-    pub fn coming_pull(&self) -> Vector3<f64> {
-        let at = self.at();
-        self.disturbances.iter().fold(Vector3::zeros(), |sum, it| match it {
-            Acting::Pull(pull, _) => sum + pull.coming(at, &self.sim).unwrap_or_default(),
-            _ => sum,
-        })
+    /// Returns what disturbs the trunk at the beginning of the coming step: the force of all pulls, world frame \[N\], and the
+    /// push.
+    pub fn coming(&self) -> (Vector3<f64>, Option<&Push>) {
+        let (at, mut pull, mut push) = (self.at(), Vector3::zeros(), None);
+        for it in &self.disturbances {
+            match it {
+                Acting::Pull(it, _) => {
+                    let force = it.in_step(at, &self.sim).unwrap_or_default();
+                    pull += it.profile.at(at.time_s - it.from_s) * force;
+                }
+                Acting::Push(it, false) if at.has_come(it.at_s) => push = Some(it),
+                _ => {}
+            }
+        }
+        (pull, push)
     }
 
     /// Returns the targets and sharpnesses of the reward's terms, and their weights.
     pub fn reward(&self) -> &Reward {
         &self.reward
-    }
-
-    /// Gives the robot other dynamics from the next [`World::begin`] or [`World::restore`] on: see [`Sim::set_dynamics`].
-    ///
-    /// # Errors
-    /// The trunk would have less mass than nothing.
-    pub fn set_dynamics(&mut self, dynamics: &Dynamics) -> Result<()> {
-        self.sim.set_dynamics(dynamics)
     }
 
     /// Returns the simulation.
@@ -370,12 +338,12 @@ impl World {
         &mut self.sim
     }
 
-    /// Returns the state from which the world continues with the same bits, without what a person does to it.
+    /// Returns the state from which the world continues with the same bits.
     pub fn save(&self) -> WorldState {
         WorldState {
             sim: self.sim.save(),
             steps: self.steps,
-            disturbances: self.disturbances[..self.planned].to_vec(),
+            disturbances: self.disturbances.clone(),
             swings: self.swings,
             targets: self.targets,
         }
@@ -395,9 +363,8 @@ impl World {
         }
         self.sim.restore(&state.sim)?;
         self.disturbances.clone_from(&state.disturbances);
-        self.planned = self.disturbances.len();
         (self.steps, self.swings, self.targets) = (state.steps, state.swings, state.targets);
-        self.state = self.sim.state();
+        (self.state, self.last_push) = (self.sim.state(), None);
         Ok(())
     }
 }

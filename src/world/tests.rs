@@ -52,7 +52,7 @@ fn true_force_is_the_sum_of_what_acts() {
     world.pull_by_hand(None);
     let WorldStep { forces, events, .. } = step(&mut world, &pose);
     assert_eq!((forces.trunk, events[0].text.as_str()), (Vector3::zeros(), "pull ends"));
-    assert_eq!(world.disturbances.len(), 2);
+    assert!(world.disturbances.is_empty());
 }
 
 #[test]

@@ -227,7 +227,7 @@ impl LocomotionEnv {
     fn begin(&mut self) -> mujoco::Result<()> {
         let plan = &mut self.progress.plan;
         if let Some(dynamics) = &plan.dynamics {
-            self.world.set_dynamics(dynamics)?;
+            self.world.sim_mut().set_dynamics(dynamics)?;
         }
         if let (Some(course), Some(terrain)) = (self.progress.course, &self.config.terrain) {
             self.world.sim_mut().set_start(terrain.start(course.level));
@@ -268,12 +268,13 @@ impl LocomotionEnv {
         let (plan, state) = (&self.progress.plan, self.world.state());
         let base_from_world = state.world_from_base.inverse();
         let dynamics = plan.dynamics;
-        let [forward, left] = self.world.coming_push().map_or([0.0; 2], |push| push.linear);
+        let (pull, push) = self.world.coming();
+        let [forward, left] = push.map_or([0.0; 2], |push| push.linear);
         Privileged {
             foot_forces: foot_forces.map(|force| base_from_world * force),
             friction: plan.conditions.friction,
             encoder_bias: plan.conditions.encoder_bias,
-            pull: base_from_world * self.world.coming_pull(),
+            pull: base_from_world * pull,
             push: base_from_world * (state.heading() * Vector3::new(forward, left, 0.0)),
             trunk_mass_kg: dynamics.map_or(0.0, |dynamics| dynamics.trunk_mass_kg),
             trunk_offset_m: dynamics.map_or([0.0; 3], |dynamics| dynamics.trunk_offset_m).into(),
@@ -400,9 +401,7 @@ impl LocomotionEnv {
     }
 
     fn end(&self, fell: bool) -> Option<EpisodeEnd> {
-        // Without a push, the episode is over after the walking stage.
-        let is_pushed = self.world.pushes().next().is_some();
-        let last = if is_pushed { self.stages.end } else { self.stages.recovery_start };
+        let last = if self.progress.plan.is_pushed { self.stages.end } else { self.stages.recovery_start };
         if fell {
             Some(EpisodeEnd::Fall)
         } else if self.world.steps() >= last.min(self.progress.cut) {
@@ -418,7 +417,7 @@ impl LocomotionEnv {
         EpisodeReport {
             end,
             steps: self.world.steps(),
-            pushed: self.world.pushes().any(|(_, is_done)| is_done),
+            pushed: p.plan.is_pushed && self.world.steps() > self.stages.recovery_start,
             reward: p.reward,
             terms: p.terms,
             walking_linear: walked.then(|| p.walking.linear_velocity() / self.stages.recovery_start as f64),
@@ -456,7 +455,7 @@ impl LocomotionEnv {
     pub fn restore(&mut self, state: &EnvState) -> mujoco::Result<()> {
         self.check(&state.progress)?;
         if let Some(dynamics) = &state.progress.plan.dynamics {
-            self.world.set_dynamics(dynamics)?;
+            self.world.sim_mut().set_dynamics(dynamics)?;
         }
         self.world.restore(&state.world)?;
         self.last_second.clear();

@@ -62,13 +62,18 @@ pub(super) struct StepTime {
 
 impl StepTime {
     /// Returns true if an instant has come: it is nearer to this step's beginning than to that of the next one, or earlier.
-    fn has_come(self, at_s: f64) -> bool {
+    pub(super) fn has_come(self, at_s: f64) -> bool {
         at_s < self.time_s + 0.5 * self.period_s
     }
 
-    /// Returns true if the step begins within an interval. Times of steps are products: they may be off by a rounding.
+    /// Returns true if the step begins within an interval.
     fn is_within(self, from_s: f64, until_s: f64) -> bool {
-        (from_s..until_s).contains(&(self.time_s + 1e-9))
+        self.is_after(from_s) && !self.is_after(until_s)
+    }
+
+    /// Returns true if the step begins at a time or later. Times of steps are products: they may be off by a rounding.
+    fn is_after(self, time_s: f64) -> bool {
+        time_s <= self.time_s + 1e-9
     }
 }
 
@@ -126,11 +131,22 @@ pub enum Mark {
     },
 }
 
+/// What the disturbances do at the beginning of a policy step.
+#[derive(Debug, Default)]
+pub(super) struct Effects {
+    pub(super) events: Vec<Event>,
+    /// Impulse of the pushes, world frame [N·s].
+    pub(super) impulse: Vector3<f64>,
+    /// Change of velocity by the last push, world frame [m/s].
+    pub(super) pushed: Option<Vector3<f64>>,
+}
+
 /// A disturbance at work: the value, and what it remembers from step to step.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum Acting {
-    Push(Push, push::Memory),
+    /// A push, which is over once it has come.
+    Push(Push, bool),
     Pull(Pull, pull::Memory),
     Spring(Spring, spring::Memory),
     Rig(Rig, rig::Memory),
@@ -144,7 +160,7 @@ impl Acting {
     /// The scene lacks a part of it.
     pub(super) fn new(what: Disturbance, sim: &Sim) -> Result<Self> {
         Ok(match what {
-            Disturbance::Push(push) => Acting::Push(push, push::Memory::default()),
+            Disturbance::Push(push) => Acting::Push(push, false),
             Disturbance::Pull(pull) => Acting::Pull(pull, pull::Memory::default()),
             Disturbance::Spring(spring) => Acting::Spring(spring, spring::Memory::new(sim)?),
             Disturbance::Rig(rig) => {
@@ -153,11 +169,6 @@ impl Acting {
             }
             Disturbance::Hold(hold) => Acting::Hold(hold, hold::Memory::default()),
         })
-    }
-
-    /// Returns true for the kinds that exert a force on the trunk of their own.
-    pub(super) fn is_force(&self) -> bool {
-        matches!(self, Acting::Pull(..) | Acting::Spring(..))
     }
 
     /// Prepares the policy step that begins at `at`.
@@ -169,24 +180,33 @@ impl Acting {
         at: StepTime,
         command: &Command,
         sim: &mut Sim,
-        events: &mut Vec<Event>,
+        effects: &mut Effects,
     ) -> Result<()> {
         match self {
-            Acting::Push(push, memory) => memory.before_step(push, at, sim, events)?,
-            Acting::Pull(pull, memory) => memory.before_step(pull, at, sim, events),
+            Acting::Push(push, is_over) => *is_over = push.before_step(at, sim, effects)?,
+            Acting::Pull(pull, memory) => memory.before_step(pull, at, sim, &mut effects.events),
             Acting::Spring(..) => {}
-            Acting::Rig(rig, memory) => memory.before_step(rig, at, command, sim, events)?,
+            Acting::Rig(rig, memory) => memory.before_step(rig, at, command, sim, &mut effects.events)?,
             Acting::Hold(hold, memory) => memory.before_step(hold, at),
         }
         Ok(())
     }
 
-    /// Returns the force on the trunk in the coming physics step, world frame \[N\].
-    pub(super) fn trunk_force(&mut self, data: &Data) -> Vector3<f64> {
+    /// Returns the force on the trunk in the coming physics step, world frame \[N\]; `None` for kinds without one.
+    pub(super) fn trunk_force(&mut self, data: &Data) -> Option<Vector3<f64>> {
         match self {
-            Acting::Pull(pull, memory) => memory.force(pull, data.time_s()),
-            Acting::Spring(spring, memory) => memory.force(spring, data),
-            Acting::Push(..) | Acting::Rig(..) | Acting::Hold(..) => Vector3::zeros(),
+            Acting::Pull(pull, memory) => Some(memory.force(pull, data.time_s())),
+            Acting::Spring(spring, memory) => Some(memory.force(spring, data)),
+            Acting::Push(..) | Acting::Rig(..) | Acting::Hold(..) => None,
+        }
+    }
+
+    /// Returns true if the disturbance has come and gone after the step that began at `at`.
+    pub(super) fn is_over(&self, at: StepTime) -> bool {
+        match self {
+            Acting::Push(_, is_over) => *is_over,
+            Acting::Pull(Pull { until_s, .. }, _) | Acting::Hold(Hold { until_s, .. }, _) => at.is_after(*until_s),
+            Acting::Spring(..) | Acting::Rig(..) => false,
         }
     }
 }

@@ -87,17 +87,12 @@ impl Pull {
 
     /// Returns the force in the policy step that begins at `at`, before its profile, world frame \[N\]; `None` if it does not
     /// act.
-    fn acting(&self, at: StepTime, sim: &Sim) -> Option<Vector3<f64>> {
+    pub(in crate::world) fn in_step(&self, at: StepTime, sim: &Sim) -> Option<Vector3<f64>> {
         let force = Vector3::new(self.force[0], self.force[1], 0.0);
         at.is_within(self.from_s, self.until_s).then(|| match self.frame {
             PullFrame::World => force,
             PullFrame::Heading => sim.state().heading() * force,
         })
-    }
-
-    /// Returns the force at the beginning of the policy step that begins at `at`, world frame \[N\].
-    pub(in crate::world) fn coming(&self, at: StepTime, sim: &Sim) -> Option<Vector3<f64>> {
-        self.acting(at, sim).map(|force| self.profile.at(at.time_s - self.from_s) * force)
     }
 }
 
@@ -108,7 +103,7 @@ pub(in crate::world) struct Memory(Option<[f64; 3]>);
 impl Memory {
     /// Looks whether the pull acts in the policy step that begins at `at`.
     pub(super) fn before_step(&mut self, pull: &Pull, at: StepTime, sim: &Sim, events: &mut Vec<Event>) {
-        let before = std::mem::replace(&mut self.0, pull.acting(at, sim).map(Into::into));
+        let before = std::mem::replace(&mut self.0, pull.in_step(at, sim).map(Into::into));
         let text = match (before, self.0) {
             (None, Some(_)) => format!("pull: {:+.1} N forward, {:+.1} N left", pull.force[0], pull.force[1]),
             (Some(_), None) => "pull ends".to_owned(),
@@ -117,14 +112,14 @@ impl Memory {
         events.push(Event::disturbance(at.time_s, text));
     }
 
-    /// Returns true if the pull acts in this policy step.
-    pub(in crate::world) fn acts(&self) -> bool {
-        self.0.is_some()
+    /// Returns the force at a time of this policy step, world frame \[N\].
+    pub(super) fn force(&self, pull: &Pull, time_s: f64) -> Vector3<f64> {
+        self.0.map_or_else(Vector3::zeros, |force| pull.profile.at(time_s - pull.from_s) * Vector3::from(force))
     }
 
-    /// Returns the force at a time, world frame \[N\].
-    pub(in crate::world) fn force(&self, pull: &Pull, time_s: f64) -> Vector3<f64> {
-        self.0.map_or_else(Vector3::zeros, |force| pull.profile.at(time_s - pull.from_s) * Vector3::from(force))
+    /// Returns the force at a time of this policy step, world frame \[N\]; `None` if the pull does not act.
+    pub(in crate::world) fn acting(&self, pull: &Pull, time_s: f64) -> Option<Vector3<f64>> {
+        self.0.map(|_| self.force(pull, time_s))
     }
 }
 
