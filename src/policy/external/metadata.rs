@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use super::translate::{Fault, Found, MAX_HISTORY, ages, for_each_joint, gain, quantity, steps_ago};
+use super::framework::{Fault, Found, MAX_HISTORY, ages, for_each_joint, gain, quantity, steps_ago};
 use crate::observation::{Numbers, Observed, Quantity};
 use crate::policy::inference::Meaning;
 use crate::policy::onnx;

@@ -9,15 +9,14 @@ with the gains, rates and latency that the policy was trained with.
 
 mod deploy;
 mod describe;
+mod framework;
 mod metadata;
 mod spec;
 mod text;
-mod translate;
 
 use std::path::Path;
 
-pub use describe::{describe, describe_network, is_described_by_us};
-pub use translate::translate;
+pub use describe::{describe, describe_network, is_described_by_us, translate};
 
 use super::inference::{Inference, Network};
 use super::{Agent, AgentError, onnx};
