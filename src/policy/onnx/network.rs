@@ -8,15 +8,13 @@ use prost::Message;
 use super::operators::Call;
 use super::proto::{Graph, Model, Node, Size, ValueInfo};
 use super::tensor::{Tensor, elements};
-use super::{Result, Unsupported, weights, wire};
+use super::weights::{self, MAX_BYTES};
+use super::{Result, Unsupported, wire};
 use crate::policy::pytorch;
 use crate::util::files::{self, FileError};
 
 /// Name of the file type in error messages.
 const ONNX: &str = "ONNX file";
-
-/// Maximum size of an ONNX file, and of the weights beside it \[bytes\].
-pub const MAX_BYTES: u64 = 32 << 20;
 
 /// Supported versions of the operator set: those with the meaning that `operators` implements.
 const OPERATOR_SETS: std::ops::RangeInclusive<i64> = 7..=22;

@@ -2,10 +2,12 @@
 
 use std::path::{Component, Path, PathBuf};
 
-use super::network::MAX_BYTES;
 use super::proto::{Graph, Property};
 use super::{Result, Unsupported};
 use crate::util::files;
+
+/// Maximum size of an ONNX file, and of the weights beside it \[bytes\].
+pub const MAX_BYTES: u64 = 32 << 20;
 
 /// Value of `data_location` of a constant in another file.
 const EXTERNAL: i32 = 1;
