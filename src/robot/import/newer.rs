@@ -13,7 +13,7 @@ use std::collections::HashMap;
 use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
 
 use super::source::{Files, described};
-use super::words::{Verdict, is_actuator, is_known_law, is_newer_actuator, since, verdict};
+use super::words::{LEFT_OUT_SECTIONS, Verdict, is_actuator, is_known_law, is_newer_actuator, since, verdict};
 use crate::robot::error::{RobotError, SAVE_AGAIN};
 use crate::util::xml::Element;
 
@@ -22,9 +22,6 @@ const PLAIN: &str = "robot_plain";
 
 /// Sections that are passed to MuJoCo. The others have no meaning in a scene that has its own, or nothing reads them.
 const SECTIONS: [&str; 7] = ["compiler", "default", "asset", "worldbody", "actuator", "custom", "keyframe"];
-
-/// Sections that are left out.
-pub(super) const LEFT_OUT: [&str; 7] = ["option", "size", "sensor", "contact", "statistic", "visual", "extension"];
 
 /// Sections that no such quadruped has, unless they are empty.
 const REFUSED: [&str; 3] = ["equality", "tendon", "deformable"];
@@ -180,7 +177,7 @@ impl Translator<'_> {
             }
             return Err(RobotError::Section { at: self.files.at(section), section: name.to_owned() });
         }
-        if LEFT_OUT.contains(&name) {
+        if LEFT_OUT_SECTIONS.contains(&name) {
             return Ok(None);
         }
         if !SECTIONS.contains(&name) {

@@ -15,6 +15,7 @@ use crate::mujoco::{self, Data, GeomContact, Kind, Model, Shape};
 use crate::robot::error::RobotError;
 use crate::robot::kinematics::{Leg, bent_pose};
 use crate::robot::{HARNESS, JOINTS, Joints, LEGS, PARTS, joint_name, limits, sole_name};
+use crate::util::numbers::short;
 use crate::util::xml::Element;
 
 /// Class that takes over the file's top-level defaults, because a robot must not change those of a scene.
@@ -623,9 +624,4 @@ fn range(values: &[f64]) -> String {
 
 fn list(values: &[f64]) -> String {
     values.iter().map(|value| short(*value)).collect::<Vec<_>>().join(" ")
-}
-
-/// Formats a number without floating-point noise.
-pub(super) fn short(value: f64) -> String {
-    ((value * 1e6).round() / 1e6).to_string()
 }

@@ -1,10 +1,10 @@
 //! The largest torque of each joint.
 
 use super::names::Description;
-use super::normalise::short;
 use crate::mujoco::{Kind, Model};
 use crate::robot::error::RobotError;
 use crate::robot::{JOINTS, Joints, joint_name};
+use crate::util::numbers::short;
 
 /// Returns the largest torque of each joint [N·m]: the description's, or the tightest of what bounds it in the file, the sum of
 /// its actuators and the limit of the joint itself.
