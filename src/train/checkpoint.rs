@@ -100,7 +100,7 @@ pub struct RunState {
     pub config: Config,
     /// Git revision of the program that wrote the checkpoint.
     pub git_revision: String,
-    /// MuJoCo that it was written with, as [`mujoco_version`](crate::util::provenance::mujoco_version) names it; empty if it
+    /// MuJoCo that it was written with, as [`mujoco_version`](crate::provenance::mujoco_version) names it; empty if it
     /// does not say.
     #[serde(default)]
     pub mujoco_version: String,

@@ -22,11 +22,11 @@ use crate::network::ActorCritic;
 use crate::observation::Layout;
 use crate::policy::{Policy, Provenance};
 use crate::ppo::{Learner, LearnerState, PrecisionError, Samples, UpdateFault, learner, resolved};
+use crate::provenance;
 use crate::ranks::{Alone, RankError, Ranks, agree, sum_over_samples};
 use crate::robot::JOINTS;
 use crate::task::Curriculum;
 use crate::util::files::FileError;
-use crate::util::provenance;
 use crate::util::random::{Purpose, stream};
 
 /// The reason why training stopped.

@@ -32,7 +32,7 @@ impl Tensor {
         Tensor { name: name.into(), dtype: Dtype::F32, shape, bytes }
     }
 
-    /// Creates tensors from the weights of a network, as [`crate::network::Mlp::tensors`] names them.
+    /// Creates tensors from the named weights of a network.
     pub fn of_network(tensors: Vec<(String, Vec<usize>, &[f32])>) -> Vec<Self> {
         tensors.into_iter().map(|(name, shape, values)| Self::f32(name, shape, values)).collect()
     }

@@ -22,7 +22,7 @@ use supple::util::terminal;
 
 /// Show a policy, check it, export it.
 #[derive(Parser)]
-#[command(name = env!("CARGO_BIN_NAME"), version = supple::util::provenance::version())]
+#[command(name = env!("CARGO_BIN_NAME"), version = supple::provenance::version())]
 struct Args {
     #[command(subcommand)]
     command: Command,

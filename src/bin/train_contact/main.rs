@@ -15,10 +15,10 @@ use supple::estimate::contact::{ContactNetwork, ContactProvenance, HeldOut, INPU
 use supple::network::Scratch;
 use supple::policy::Agent;
 use supple::policy::shipped;
+use supple::provenance::{git_revision, mujoco_version};
 use supple::robot::LEGS;
 use supple::util::files::Target;
 use supple::util::progress::progress;
-use supple::util::provenance::{git_revision, mujoco_version};
 use supple::util::terminal;
 
 /// One in this number of episodes is held out.
@@ -29,7 +29,7 @@ const HELD_OUT: u32 = 5;
 /// Policies walk or stand at random commands, on slopes, among balls and over blocks and mats, with random friction, and are pushed;
 /// the network learns from joint angles, rates and targets with sensor noise which feet touch something and hardly move. Scores are of episodes that it was not trained on.
 #[derive(Parser)]
-#[command(name = env!("CARGO_BIN_NAME"), version = supple::util::provenance::version())]
+#[command(name = env!("CARGO_BIN_NAME"), version = supple::provenance::version())]
 struct Args {
     /// Policy to gather data from: file, run folder or name of a shipped one; may be given several times [default: all
     /// that ship]
