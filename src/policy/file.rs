@@ -11,7 +11,7 @@ use rand::RngExt;
 use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 
-use super::inference::{Action, Buffers, Inference, Meaning, Network};
+use super::inference::{Inference, InferenceBuffers, JointPositionAction, Meaning, Network};
 use super::pytorch;
 use crate::config::{Config, Simulation, ValueError};
 use crate::network::{ActorCritic, Mlp, NetworkError, PackedMlp};
@@ -121,7 +121,7 @@ impl Usage {
 
 /// The JSON under the metadata key `supple`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-struct Metadata {
+struct PolicyMetadata {
     format: u32,
     observation: Vec<BlockInfo>,
     joints: Vec<String>,
@@ -135,13 +135,13 @@ struct Metadata {
 /// A trained policy: the network and everything that a robot needs to run it.
 ///
 /// ```
-/// use supple::policy::{Buffers, shipped};
+/// use supple::policy::{InferenceBuffers, shipped};
 /// use supple::{task::Curriculum, train::environment::LocomotionEnv};
 ///
 /// let policy = shipped::find_ours("compliant")?; // a shipped name, a policy file or a run's folder
 /// let mut env = LocomotionEnv::new(&policy.provenance.config, 0, 0, Curriculum::complete())?;
 /// env.without_stagger();
-/// let (nominal, mut buffers) = (policy.nominal_pose(), Buffers::default());
+/// let (nominal, mut buffers) = (policy.nominal_pose(), InferenceBuffers::default());
 /// for _ in 0..60 {
 ///     let targets = policy.joint_targets(&env.observation(), &mut buffers); // twelve angles [rad]
 ///     let action: [f32; 12] = std::array::from_fn(|j| ((targets[j] - nominal[j]) / policy.scale_rad()) as f32);
@@ -200,7 +200,7 @@ impl Policy {
     ///
     /// # Panics
     /// The observation has another length.
-    pub fn joint_targets(&self, observation: &[f64], buffers: &mut Buffers) -> Joints {
+    pub fn joint_targets(&self, observation: &[f64], buffers: &mut InferenceBuffers) -> Joints {
         self.inference.joint_targets(observation, buffers)
     }
 
@@ -221,7 +221,7 @@ impl Policy {
 
     /// Formats the metadata as JSON.
     pub fn metadata_json(&self) -> String {
-        let metadata = Metadata {
+        let metadata = PolicyMetadata {
             format: FORMAT,
             observation: block_infos(self.layout()),
             joints: joint_names().to_vec(),
@@ -266,13 +266,13 @@ impl Policy {
         Self::parse(bytes).map_err(FileError::of(POLICY, path))
     }
 
-    fn parse(bytes: &[u8]) -> Result<Self, Fault> {
+    fn parse(bytes: &[u8]) -> Result<Self, PolicyFileFault> {
         let read = tensors::deserialize(bytes);
         if matches!(read, Err(TensorError::Broken(_))) && pytorch::is_pytorch(bytes) {
-            return Err(Fault::PyTorch);
+            return Err(PolicyFileFault::PyTorch);
         }
         let (tensors, json) = read?;
-        let metadata: Metadata = tensors::metadata(&json, FORMAT)?;
+        let metadata: PolicyMetadata = tensors::metadata(&json, FORMAT)?;
         let layout = metadata.check()?;
         let length = layout.length();
 
@@ -281,7 +281,7 @@ impl Policy {
         let layout = layout.with_normaliser(offset, scale)?;
         let network = tensors::read_group(&tensors, "policy.")?;
         let actor = Mlp::from_tensors(network, length, JOINTS)?;
-        let Metadata { nominal_pose_rad, scale_rad, provenance, usage, .. } = metadata;
+        let PolicyMetadata { nominal_pose_rad, scale_rad, provenance, usage, .. } = metadata;
         let inference = inference(&actor, layout, nominal_pose_rad, scale_rad, &provenance.config.simulation);
         let policy = Policy { actor, inference, provenance, usage, sha256: files::sha256(&[bytes]) };
         let observations = read("golden.observation", &[GOLDEN, length])?;
@@ -289,16 +289,16 @@ impl Policy {
         let found = policy.targets_of(&observations);
         let worst = numbers::largest_magnitude(found.iter().zip(&expected).map(|(a, b)| a - b));
         if !worst.is_finite() {
-            return Err(Fault::GoldenNotFinite);
+            return Err(PolicyFileFault::GoldenNotFinite);
         }
         if worst > GOLDEN_TOLERANCE {
-            return Err(Fault::Golden { worst });
+            return Err(PolicyFileFault::Golden { worst });
         }
         Ok(policy)
     }
 
     fn targets_of(&self, observations: &[f64]) -> Vec<f64> {
-        let mut buffers = Buffers::default();
+        let mut buffers = InferenceBuffers::default();
         let rows = observations.chunks_exact(self.layout().length());
         rows.flat_map(|row| self.joint_targets(row, &mut buffers)).collect()
     }
@@ -334,7 +334,7 @@ fn inference(actor: &Mlp, layout: Layout, nominal_pose: Joints, scale_rad: f64, 
 
 /// A fault in the content of a policy file.
 #[derive(Debug, thiserror::Error)]
-enum Fault {
+enum PolicyFileFault {
     #[error(transparent)]
     Tensors(#[from] TensorError),
     #[error("{}", pytorch::ADVICE)]
@@ -363,9 +363,9 @@ enum Fault {
     Golden { worst: f64 },
 }
 
-impl Metadata {
+impl PolicyMetadata {
     /// Checks the metadata and returns the layout of the observation.
-    fn check(&self) -> Result<Layout, Fault> {
+    fn check(&self) -> Result<Layout, PolicyFileFault> {
         let config = &self.provenance.config;
         config.check()?;
         let layout = config.layout()?;
@@ -373,16 +373,16 @@ impl Metadata {
         // The lengths may be any numbers.
         let described = self.observation.iter().fold(0_usize, |sum, block| sum.saturating_add(block.length));
         if [named, described] != [configured; 2] {
-            return Err(Fault::Length { described, named, configured });
+            return Err(PolicyFileFault::Length { described, named, configured });
         }
         if self.joints != joint_names() {
-            return Err(Fault::Joints(self.joints.clone()));
+            return Err(PolicyFileFault::Joints(self.joints.clone()));
         }
         if !numbers::finite_in_single(&self.nominal_pose_rad) || !numbers::finite_in_single(&[self.scale_rad]) {
-            return Err(Fault::Action);
+            return Err(PolicyFileFault::Action);
         }
         if self.simulation != config.simulation {
-            return Err(Fault::Simulation);
+            return Err(PolicyFileFault::Simulation);
         }
         Ok(layout)
     }
@@ -469,7 +469,7 @@ mod tests {
 
     #[test]
     fn observation_of_other_lengths_is_refused() {
-        let mut metadata: Metadata = serde_json::from_str(&policy().metadata_json()).unwrap();
+        let mut metadata: PolicyMetadata = serde_json::from_str(&policy().metadata_json()).unwrap();
         // Their sum is beyond the largest number.
         metadata.observation[..2].iter_mut().for_each(|block| block.length = usize::MAX);
         let error = metadata.check().unwrap_err().to_string();
@@ -542,7 +542,7 @@ mod tests {
             }
             // Refused or harmless: what is read has sane rates, and so a short queue of delayed targets.
             if let Ok(policy) = Policy::from_bytes(&bytes, Path::new("changed")) {
-                policy.joint_targets(&vec![0.0; policy.layout().length()], &mut Buffers::default());
+                policy.joint_targets(&vec![0.0; policy.layout().length()], &mut InferenceBuffers::default());
                 proptest::prop_assert!(policy.provenance.config.simulation.physics_rate_hz <= 20_000);
             }
         }

@@ -3,7 +3,7 @@
 use supple::config::Config;
 use supple::mujoco::{Kind, VERSION};
 use supple::policy::external::describe;
-use supple::policy::{Agent, Buffers};
+use supple::policy::{Agent, InferenceBuffers};
 use supple::policy::{onnx, shipped};
 use supple::robot::Robot;
 use supple::scenario::Playback;
@@ -224,7 +224,7 @@ fn external_policy_is_shown_verified_and_run() {
 
     // As the policy acts in a program.
     let agent = Agent::load(&folder.path().join("rsl_rl.yaml")).unwrap();
-    let expected = agent.inference().joint_targets(&[0.5; 48], &mut Buffers::default());
+    let expected = agent.inference().joint_targets(&[0.5; 48], &mut InferenceBuffers::default());
     let command = format!("echo '{:?}' | {} run rsl_rl.yaml", [0.5; 48], crate::support::program("policy"));
     let output = std::process::Command::new("sh").args(["-c", &command]).current_dir(folder.path()).output().unwrap();
     assert_eq!(serde_json::from_slice::<[f64; 12]>(&output.stdout).unwrap(), expected);

@@ -13,7 +13,7 @@ use nalgebra::Vector3;
 use supple::config::Config;
 use supple::observation::Command as Velocity;
 use supple::policy::compliance::{CompliantObservations, PolicyCalibration};
-use supple::policy::{Agent, Buffers, Controller as _, Provenance};
+use supple::policy::{Agent, Controller as _, InferenceBuffers, Provenance};
 use supple::policy::{external, onnx, shipped};
 use supple::robot::{GRAVITY_M_S2, JOINTS, Joints, Robot, RobotState, joint_name};
 use supple::scenario::calibration::calibrate;
@@ -300,7 +300,7 @@ fn answer(agent: &Agent, mut compliant: Option<CompliantObservations>) -> anyhow
         force_n: [f64; 2],
     }
     let inference = agent.inference();
-    let (mut buffers, length) = (Buffers::default(), inference.layout.length());
+    let (mut buffers, length) = (InferenceBuffers::default(), inference.layout.length());
     for (index, line) in files::lines(std::io::stdin().lock(), MAX_LINE_BYTES).enumerate() {
         let line = line.with_context(|| format!("standard input, line {}", index + 1))?;
         let expected = match compliant {

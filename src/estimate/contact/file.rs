@@ -75,7 +75,7 @@ struct InputInfo {
 
 /// The JSON under the metadata key `supple`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-struct Metadata {
+struct ContactMetadata {
     format: u32,
     rate_hz: f64,
     /// Number of ticks in the input, oldest first; each has all of `inputs`.
@@ -98,7 +98,7 @@ impl ContactNetwork {
         let mut all = Tensor::of_network(self.mlp.tensors("contact."));
         all.push(Tensor::f32("normaliser.offset", vec![INPUTS], &self.offset));
         all.push(Tensor::f32("normaliser.scale", vec![INPUTS], &self.scale));
-        let metadata = Metadata {
+        let metadata = ContactMetadata {
             format: FORMAT,
             rate_hz: RATE_HZ,
             ticks: TICKS,
@@ -135,7 +135,8 @@ impl ContactNetwork {
     /// # Errors
     /// The bytes are damaged or have another format.
     pub fn from_bytes(bytes: &[u8], path: &Path) -> Result<Self, FileError> {
-        let advice = |fault: Fault| format!("{fault}; train one with `cargo run --release --bin train_contact`");
+        let advice =
+            |fault: ContactFileFault| format!("{fault}; train one with `cargo run --release --bin train_contact`");
         parse(bytes).map_err(advice).map_err(FileError::of(CONTACT, path))
     }
 
@@ -156,7 +157,7 @@ fn inputs() -> Vec<InputInfo> {
 
 /// A fault in the content of a contact network's file.
 #[derive(Debug, thiserror::Error)]
-enum Fault {
+enum ContactFileFault {
     #[error(transparent)]
     Tensors(#[from] TensorError),
     #[error("its network: {0}")]
@@ -169,9 +170,9 @@ enum Fault {
     Damaged { found: String, expected: String },
 }
 
-fn parse(bytes: &[u8]) -> Result<ContactNetwork, Fault> {
+fn parse(bytes: &[u8]) -> Result<ContactNetwork, ContactFileFault> {
     let (tensors, json) = tensors::deserialize(bytes)?;
-    let metadata: Metadata = serde_json::from_str(&json).map_err(TensorError::Metadata)?;
+    let metadata: ContactMetadata = serde_json::from_str(&json).map_err(TensorError::Metadata)?;
     metadata.check()?;
     let network = tensors::read_group(&tensors, "contact.")?;
     let mlp = Mlp::from_tensors(network, INPUTS, LEGS.len())?;
@@ -180,15 +181,15 @@ fn parse(bytes: &[u8]) -> Result<ContactNetwork, Fault> {
     let network = ContactNetwork::new(mlp, offset, scale, metadata.provenance);
     let found = network.checksum();
     if found != metadata.checksum {
-        return Err(Fault::Damaged { found, expected: metadata.checksum });
+        return Err(ContactFileFault::Damaged { found, expected: metadata.checksum });
     }
     Ok(network)
 }
 
-impl Metadata {
-    fn check(&self) -> Result<(), Fault> {
+impl ContactMetadata {
+    fn check(&self) -> Result<(), ContactFileFault> {
         let expect = |key: &'static str, found: String, expected: String| {
-            if found == expected { Ok(()) } else { Err(Fault::Value { key, found, expected }) }
+            if found == expected { Ok(()) } else { Err(ContactFileFault::Value { key, found, expected }) }
         };
         expect("format", self.format.to_string(), FORMAT.to_string())?;
         expect("rate", format!("{} Hz", self.rate_hz), format!("{RATE_HZ} Hz"))?;
@@ -198,7 +199,7 @@ impl Metadata {
         expect("list of outputs", format!("{:?}", self.outputs), format!("{LEGS:?}"))?;
         let scores = self.provenance.held_out.len();
         expect("number of scored feet", scores.to_string(), LEGS.len().to_string())?;
-        if self.inputs == inputs() { Ok(()) } else { Err(Fault::Inputs(self.inputs.clone())) }
+        if self.inputs == inputs() { Ok(()) } else { Err(ContactFileFault::Inputs(self.inputs.clone())) }
     }
 }
 

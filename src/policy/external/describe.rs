@@ -7,8 +7,8 @@ taken.
 
 use std::path::Path;
 
-use super::framework::Fault;
-use super::text::Description;
+use super::framework::TranslationFault;
+use super::text::PolicyDescription;
 use super::{POLICY, deploy, metadata};
 use crate::config::{Config, RobotModel, Simulation};
 use crate::observation::{Numbers, Observed, Quantity, Word};
@@ -75,7 +75,7 @@ pub fn translate(source: &Path, onnx: &str, robot: Option<&str>) -> Result<Strin
     let is_onnx = source.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("onnx"));
     let found = if is_onnx { metadata::read(source) } else { deploy::read(source) };
     let mut found = found.map_err(|fault| match fault {
-        Fault::File(error) => error,
+        TranslationFault::File(error) => error,
         fault => FileError::of(POLICY, source)(fault),
     })?;
     if robot.is_none() {
@@ -84,7 +84,7 @@ pub fn translate(source: &Path, onnx: &str, robot: Option<&str>) -> Result<Strin
     let policy_rate_hz = found.policy_rate_hz;
     found.notes.push(("physics_rate_hz", "check this: the file has none"));
     found.notes.push(("latency_s", "check this: the file has none; delay of the joint target"));
-    let description = Description {
+    let description = PolicyDescription {
         title: format!(
             "{onnx} as {} describes it, by `policy describe`. Check what is marked.",
             source.file_name().unwrap_or_default().display()
@@ -124,7 +124,7 @@ fn text(
     observation: impl Iterator<Item = Observed>,
     (meaning, scale_rad): (&'static str, f64),
 ) -> String {
-    let description = Description {
+    let description = PolicyDescription {
         // The first line says whose it is.
         title: title.replace(char::is_control, " "),
         onnx,

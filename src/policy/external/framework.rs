@@ -30,7 +30,7 @@ pub(super) struct Found {
 
 /// A part of a file that has no counterpart in a description of ours, or that is wrong.
 #[derive(Debug, thiserror::Error)]
-pub(super) enum Fault {
+pub(super) enum TranslationFault {
     #[error("{key} {found}, expected {expected}")]
     Value { key: String, found: String, expected: String },
     #[error("it has no {key}{remedy}")]
@@ -43,8 +43,10 @@ pub(super) enum Fault {
     File(#[from] FileError),
 }
 
+pub(super) type Result<T> = std::result::Result<T, TranslationFault>;
+
 /// Returns the quantity of a term of Isaac Lab's observations; `joint_pos` is what that name stands for in the file.
-pub(super) fn quantity(term: &str, joint_pos: Quantity) -> Result<Quantity, Fault> {
+pub(super) fn quantity(term: &str, joint_pos: Quantity) -> Result<Quantity> {
     let needs = match term {
         "base_lin_vel" => return Ok(Quantity::BaseVelocity),
         "base_ang_vel" => return Ok(Quantity::AngularVelocity),
@@ -68,7 +70,7 @@ pub(super) fn quantity(term: &str, joint_pos: Quantity) -> Result<Quantity, Faul
              hand, as examples/policies/rsl_rl.yaml does, or train without it"
         }
     };
-    Err(Fault::Term { term: term.to_owned(), needs: needs.to_owned() })
+    Err(TranslationFault::Term { term: term.to_owned(), needs: needs.to_owned() })
 }
 
 /// Returns the ages of a history of `length` steps, the oldest first, as Isaac Lab has it; a length of 0 is 1.
@@ -82,17 +84,17 @@ pub(super) fn steps_ago(ages: &[u32]) -> Option<Ages> {
 }
 
 /// Checks that a list has one finite number for each joint of a quadruped.
-pub(super) fn for_each_joint(key: &str, found: &[f64]) -> Result<[f64; JOINTS], Fault> {
+pub(super) fn for_each_joint(key: &str, found: &[f64]) -> Result<[f64; JOINTS]> {
     let wrong = |found| {
         let expected = format!("{JOINTS} finite numbers, one for each joint of a quadruped");
-        Fault::Value { key: key.to_owned(), found, expected }
+        TranslationFault::Value { key: key.to_owned(), found, expected }
     };
     let numbers = <[f64; JOINTS]>::try_from(found).map_err(|_| wrong(format!("has {} numbers", found.len())))?;
     if numbers.iter().all(|number| number.is_finite()) { Ok(numbers) } else { Err(wrong(format!("is {numbers:?}"))) }
 }
 
 /// Returns the gains of a list in the order of `joints`, names that a leg and a part begin, such as `FL_hip_joint`.
-pub(super) fn gain(key: &str, found: &[f64], joints: &[String]) -> Result<Gain, Fault> {
+pub(super) fn gain(key: &str, found: &[f64], joints: &[String]) -> Result<Gain> {
     let gains = for_each_joint(key, found)?;
     if gains == [gains[0]; JOINTS] {
         return Ok(Gain::Same(gains[0]));
@@ -100,7 +102,7 @@ pub(super) fn gain(key: &str, found: &[f64], joints: &[String]) -> Result<Gain, 
     let mut ordered = [0.0; JOINTS];
     for (place, name) in joint_names().iter().enumerate() {
         let at = joints.iter().position(|joint| joint.strip_suffix("_joint").unwrap_or(joint) == name);
-        let at = at.ok_or_else(|| Fault::Value {
+        let at = at.ok_or_else(|| TranslationFault::Value {
             key: key.to_owned(),
             found: format!("differs by joint, and no joint is named {name} or {name}_joint: {}", joints.join(", ")),
             expected: "such names, or one number for all joints".to_owned(),
