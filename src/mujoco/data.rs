@@ -4,9 +4,9 @@ use std::ptr::NonNull;
 
 use mujoco_sys as sys;
 
-use super::error::{Buffer, Error, Result, StateKind};
+use super::error::{BufferKind, Error, Result, StateKind};
 use super::model::{Inertial, Kind, Model};
-use super::{EMPTY_MESSAGE, Message, check};
+use super::{EMPTY_MESSAGE, check};
 
 /// A contact point found by MuJoCo's last position stage.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -318,7 +318,7 @@ impl Data {
         name: &'static str,
         function: unsafe extern "C" fn(*const sys::mjModel, *mut sys::mjData, *mut std::ffi::c_char) -> i32,
     ) -> Result<()> {
-        let mut message: Message = EMPTY_MESSAGE;
+        let mut message = EMPTY_MESSAGE;
         // SAFETY: model and data are valid and belong together; the shim catches errors.
         let failed = unsafe { function(self.model.as_ptr(), self.raw.as_ptr(), message.as_mut_ptr()) };
         self.broken |= failed != 0;
@@ -347,9 +347,9 @@ impl Data {
             }
         }
         if warnings[sys::mjWARN_CONTACTFULL as usize].number > 0 {
-            return Err(Error::BufferFull { buffer: Buffer::Contacts, size: self.model.nconmax() });
+            return Err(Error::BufferFull { buffer: BufferKind::Contacts, size: self.model.nconmax() });
         }
-        Err(Error::BufferFull { buffer: Buffer::Constraints, size: self.model.njmax() })
+        Err(Error::BufferFull { buffer: BufferKind::Constraints, size: self.model.njmax() })
     }
 
     /// Returns the number of contact points.
@@ -530,7 +530,7 @@ mod tests {
             return assert_eq!(data.contacts().count(), 7);
         }
         let error = data.step1().unwrap_err();
-        assert_eq!(error, Error::BufferFull { buffer: Buffer::Contacts, size: 4 });
+        assert_eq!(error, Error::BufferFull { buffer: BufferKind::Contacts, size: 4 });
         assert!(error.to_string().contains("nconmax"));
     }
 

@@ -321,7 +321,7 @@ impl Policy {
 fn inference(actor: &Mlp, layout: Layout, nominal_pose: Joints, scale_rad: f64, simulation: &Simulation) -> Inference {
     Inference {
         layout,
-        action: Action {
+        action: JointPositionAction {
             nominal_pose,
             meaning: Meaning::OffsetFromNominal,
             scale_rad: [scale_rad; JOINTS],
@@ -408,6 +408,7 @@ fn block_infos(layout: &Layout) -> Vec<BlockInfo> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::policy::onnx::OnnxNetwork;
 
     fn policy() -> Policy {
         let config = Config::load("compliant").unwrap();
@@ -459,11 +460,9 @@ mod tests {
         // A zip archive as torch.save writes it, and the pickle of older versions.
         for bytes in [&b"PK\x03\x04\x00\x00\x08\x08archive/data.pkl"[..], b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19."] {
             let policy = Policy::from_bytes(bytes, Path::new("p.pt")).unwrap_err().to_string();
-            let network = super::super::onnx::Network::from_bytes(bytes, Path::new("p.onnx")).unwrap_err().to_string();
-            assert!(
-                policy.contains("torch.onnx.export") && network.contains("torch.onnx.export"),
-                "{policy} {network}"
-            );
+            let network = OnnxNetwork::from_bytes(bytes, Path::new("p.onnx")).unwrap_err().to_string();
+            let advice = "torch.onnx.export";
+            assert!(policy.contains(advice) && network.contains(advice), "{policy} {network}");
         }
     }
 

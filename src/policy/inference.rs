@@ -41,7 +41,7 @@ pub enum Network {
     /// The network of a policy file.
     Mlp(PackedMlp),
     /// The network of an ONNX file.
-    Onnx(onnx::Network),
+    Onnx(onnx::OnnxNetwork),
     /// A function of the calling program.
     Function(Function),
 }
@@ -74,7 +74,7 @@ pub struct Inference {
 pub struct InferenceBuffers {
     output: Vec<f32>,
     mlp: Scratch,
-    onnx: onnx::Scratch,
+    onnx: onnx::OnnxScratch,
 }
 
 impl Network {

@@ -10,7 +10,7 @@ use crate::config::{Config, ConfigError, RobotModel, Simulation};
 use crate::observation::{Layout, LayoutError, Nominal, Numbers, Observed, limit, numbers};
 use crate::policy::AgentError;
 use crate::policy::inference::{JointPositionAction, Meaning};
-use crate::policy::onnx::Network;
+use crate::policy::onnx::OnnxNetwork;
 use crate::robot::{JOINTS, Joints, Robot, joint_name, joint_names, recognise};
 use crate::util::files::FileError;
 use crate::util::yaml::{self, Text};
@@ -126,7 +126,7 @@ impl Spec {
 
     /// Checks that the network has as many inputs and outputs as the description states, and that the robot can stand as it
     /// states. A robot that cannot be read is not asked: the policy can still be inspected, or run on another one.
-    pub(super) fn check(&self, network: &Network, folder: &Path) -> Result<(), SpecFault> {
+    pub(super) fn check(&self, network: &OnnxNetwork, folder: &Path) -> Result<(), SpecFault> {
         if let Ok(robot) = load_robot(&self.config.robot, folder) {
             self.check_pose(&robot)?;
         }
