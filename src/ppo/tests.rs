@@ -6,7 +6,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-use super::candle::{Loss, Networks};
+use super::candle::{CandleNetworks, Loss};
 #[cfg(tiles)]
 use super::fused::Tiles;
 use super::fused::team::Team;
@@ -110,7 +110,7 @@ fn learners(network: &ActorCritic, settings: &Ppo) -> Vec<(Box<dyn Learner>, f64
 
 /// Returns the gradient of the loss over one minibatch by automatic differentiation, in the order of
 /// [`ActorCritic::tensors`].
-fn candle_gradient(networks: &Networks, loss: &Loss) -> Vec<Vec<f64>> {
+fn candle_gradient(networks: &CandleNetworks, loss: &Loss) -> Vec<Vec<f64>> {
     let gradients = loss.total.backward().unwrap();
     networks.variables.iter().map(|variable| numbers(gradients.get(variable).unwrap())).collect()
 }
@@ -134,7 +134,7 @@ fn check_gradients<A: Arithmetic>(norm_error: f64, element_error: f64, log_std_e
         let order = &permutations(rows + 10, 1, 2)[0][..rows];
         let settings = settings(rows);
 
-        let networks = Networks::new(&network, DType::F64).unwrap();
+        let networks = CandleNetworks::new(&network, DType::F64).unwrap();
         let orders = [order.to_vec()];
         let loss = Loss::new(&networks, &Minibatch::all(&samples.batch(), &settings, &orders, &Alone)[0]).unwrap();
         let expected = candle_gradient(&networks, &loss);
@@ -178,7 +178,7 @@ fn reference_update(
     permutations: &[Vec<u32>],
     settings: &Ppo,
 ) -> (Vec<Vec<f64>>, UpdateStatistics) {
-    let networks = Networks::new(network, DType::F64).unwrap();
+    let networks = CandleNetworks::new(network, DType::F64).unwrap();
     let mut moments: Vec<(Vec<f64>, Vec<f64>)> =
         network.tensors().iter().map(|(.., x)| (vec![0.0; x.len()], vec![0.0; x.len()])).collect();
     let scalar = |x: &Tensor| x.to_scalar::<f64>().unwrap();

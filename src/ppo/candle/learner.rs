@@ -5,7 +5,7 @@ use candle_core::{DType, Tensor, Var};
 use candle_nn::Optimizer;
 
 use super::networks::{numbers, tensors};
-use super::{Adam, Loss, Networks};
+use super::{CandleAdam, CandleNetworks, Loss};
 use crate::config::Ppo;
 use crate::network::ActorCritic;
 use crate::ppo::loss::Minibatch;
@@ -41,8 +41,8 @@ impl CandleLearner {
     /// Runs the update: for each minibatch loss, gradient, clipping, learning rate, and a step of Adam.
     fn epochs(&mut self, batch: &Batch<'_>, permutations: &[Vec<u32>]) -> Result<UpdateStatistics, UpdateFault> {
         let Self { settings, state } = self;
-        let networks = Networks::new(&state.parameters, DType::F32)?;
-        let mut adam = Adam::new(networks.variables.clone(), settings.clone())?;
+        let networks = CandleNetworks::new(&state.parameters, DType::F32)?;
+        let mut adam = CandleAdam::new(networks.variables.clone(), settings.clone())?;
         adam.first_moment = tensors(&state.first_moment)?;
         adam.second_moment = tensors(&state.second_moment)?;
         adam.steps = state.steps;
