@@ -20,7 +20,7 @@ use crate::robot::{JOINTS, Joints, Robot, joint_names};
 use crate::util::files::{self, FileError};
 use crate::util::numbers;
 use crate::util::random::{Purpose, stream};
-use crate::util::tensors::{self, Tensor, TensorError};
+use crate::util::tensors::{self, StoredTensor, TensorError};
 
 /// Version of the file format that is written.
 pub const FORMAT: u32 = 1;
@@ -209,13 +209,13 @@ impl Policy {
     /// # Errors
     /// The weights do not fit their shapes.
     pub fn to_bytes(&self) -> Result<Vec<u8>, safetensors::SafeTensorError> {
-        let mut all = Tensor::of_network(self.actor.tensors("policy."));
+        let mut all = StoredTensor::of_network(self.actor.tensors("policy."));
         let (observations, targets) = self.golden();
         let length = self.layout().length();
-        all.push(Tensor::f64("normaliser.offset", vec![length], self.layout().offset()));
-        all.push(Tensor::f64("normaliser.scale", vec![length], self.layout().scale()));
-        all.push(Tensor::f64("golden.observation", vec![GOLDEN, length], &observations));
-        all.push(Tensor::f64("golden.joint_target", vec![GOLDEN, JOINTS], &targets));
+        all.push(StoredTensor::f64("normaliser.offset", vec![length], self.layout().offset()));
+        all.push(StoredTensor::f64("normaliser.scale", vec![length], self.layout().scale()));
+        all.push(StoredTensor::f64("golden.observation", vec![GOLDEN, length], &observations));
+        all.push(StoredTensor::f64("golden.joint_target", vec![GOLDEN, JOINTS], &targets));
         tensors::serialize(&all, self.metadata_json())
     }
 

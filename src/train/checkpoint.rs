@@ -16,7 +16,7 @@ use crate::ppo::LearnerState;
 use crate::task::Curriculum;
 use crate::train::environment::EnvState;
 use crate::util::files::{self, FileError};
-use crate::util::tensors::{self, Tensor, TensorError};
+use crate::util::tensors::{self, StoredTensor, TensorError};
 
 /// File of the newest checkpoint in a run's folder.
 pub const NEWEST: &str = "checkpoint.safetensors";
@@ -168,7 +168,7 @@ impl Checkpoint {
         let mut all = Vec::new();
         for (group, networks) in self.groups() {
             for (name, shape, values) in networks.tensors() {
-                all.push(Tensor::f32(format!("{group}.{name}"), shape, values));
+                all.push(StoredTensor::f32(format!("{group}.{name}"), shape, values));
             }
         }
         let metadata = Metadata {
@@ -177,7 +177,7 @@ impl Checkpoint {
             optimiser_steps: self.learner.steps,
             learning_rate: self.learner.learning_rate,
         };
-        all.push(Tensor::u8(RUN, run));
+        all.push(StoredTensor::u8(RUN, run));
         tensors::serialize(&all, serde_json::to_string(&metadata)?)
     }
 

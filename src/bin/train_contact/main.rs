@@ -9,7 +9,7 @@ use std::process::ExitCode;
 use anyhow::Context;
 use clap::Parser;
 use supple::estimate::SensorNoise;
-use supple::estimate::contact::learn::{Learning, Samples, learn};
+use supple::estimate::contact::learn::{ContactSamples, Learning, learn};
 use supple::estimate::contact::score::Confusion;
 use supple::estimate::contact::{ContactNetwork, ContactProvenance, HeldOut, INPUTS, PolicySource, RATE_HZ};
 use supple::network::Scratch;
@@ -123,7 +123,7 @@ fn gather(
     names: &[String],
     policies: &[Agent],
     noise: SensorNoise,
-) -> anyhow::Result<(Vec<Samples>, Vec<Samples>)> {
+) -> anyhow::Result<(Vec<ContactSamples>, Vec<ContactSamples>)> {
     let bar = progress(policies.len() as u64 * u64::from(args.episodes));
     bar.set_message("walking");
     let (mut training, mut held_out) = (Vec::new(), Vec::new());
@@ -140,8 +140,8 @@ fn gather(
     Ok((training, held_out))
 }
 
-fn join(episodes: &[Samples]) -> Samples {
-    let mut all = Samples::default();
+fn join(episodes: &[ContactSamples]) -> ContactSamples {
+    let mut all = ContactSamples::default();
     for episode in episodes {
         all.inputs.extend(&episode.inputs);
         all.labels.extend(&episode.labels);
@@ -155,7 +155,7 @@ fn sources(names: &[String], policies: &[Agent]) -> Vec<PolicySource> {
 }
 
 /// Computes the scores of each foot in held-out episodes, with the network used as in deployment.
-fn scores(network: &ContactNetwork, episodes: &[Samples]) -> anyhow::Result<Vec<HeldOut>> {
+fn scores(network: &ContactNetwork, episodes: &[ContactSamples]) -> anyhow::Result<Vec<HeldOut>> {
     let mut confusions = [Confusion::default(); 4];
     let (all, mut scratch) = (join(episodes), Scratch::default());
     for (inputs, labels) in all.inputs.as_chunks::<INPUTS>().0.iter().zip(all.labels.as_chunks::<4>().0) {

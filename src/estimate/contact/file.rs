@@ -13,7 +13,7 @@ use crate::estimate::SensorNoise;
 use crate::network::{Mlp, NetworkError};
 use crate::robot::{JOINTS, LEGS, joint_names};
 use crate::util::files::{self, FileError};
-use crate::util::tensors::{self, Tensor, TensorError};
+use crate::util::tensors::{self, StoredTensor, TensorError};
 
 /// Version of the file format.
 const FORMAT: u32 = 1;
@@ -95,9 +95,9 @@ impl ContactNetwork {
     /// # Errors
     /// A layer's shape does not fit its weights.
     pub fn to_bytes(&self) -> Result<Vec<u8>, safetensors::SafeTensorError> {
-        let mut all = Tensor::of_network(self.mlp.tensors("contact."));
-        all.push(Tensor::f32("normaliser.offset", vec![INPUTS], &self.offset));
-        all.push(Tensor::f32("normaliser.scale", vec![INPUTS], &self.scale));
+        let mut all = StoredTensor::of_network(self.mlp.tensors("contact."));
+        all.push(StoredTensor::f32("normaliser.offset", vec![INPUTS], &self.offset));
+        all.push(StoredTensor::f32("normaliser.scale", vec![INPUTS], &self.scale));
         let metadata = ContactMetadata {
             format: FORMAT,
             rate_hz: RATE_HZ,

@@ -42,18 +42,18 @@ pub fn shipped_sha256() -> String {
 
 /// The last [`TICKS`] ticks, the input of the network in physical units.
 #[derive(Debug, Clone, PartialEq)]
-pub struct History {
+pub struct ContactHistory {
     inputs: [f32; INPUTS],
     begun: bool,
 }
 
-impl Default for History {
+impl Default for ContactHistory {
     fn default() -> Self {
-        History { inputs: [0.0; INPUTS], begun: false }
+        ContactHistory { inputs: [0.0; INPUTS], begun: false }
     }
 }
 
-impl History {
+impl ContactHistory {
     /// Adds the encoder reading of a tick and the joint targets \[rad\] that were given last. The first tick also fills
     /// the past. A reading that is not finite is ignored.
     pub fn push(&mut self, encoders: &EncoderReading, targets: &Joints) {
@@ -123,7 +123,7 @@ impl ContactNetwork {
     }
 
     /// Returns the logit of contact for each foot, in the order of [`crate::robot::LEGS`], for the inputs of a
-    /// [`History`].
+    /// [`ContactHistory`].
     pub fn logits(&self, inputs: &[f32; INPUTS], scratch: &mut Scratch) -> [f32; 4] {
         let seen: [f32; INPUTS] = std::array::from_fn(|k| (inputs[k] - self.offset[k]) * self.scale[k]);
         let mut logits = [0.0; 4];
@@ -136,14 +136,14 @@ impl ContactNetwork {
 #[derive(Debug)]
 pub struct ContactEstimator {
     network: ContactNetwork,
-    history: History,
+    history: ContactHistory,
     scratch: Scratch,
 }
 
 impl ContactEstimator {
     /// Creates an estimator without history.
     pub fn new(network: ContactNetwork) -> Self {
-        ContactEstimator { network, history: History::default(), scratch: Scratch::default() }
+        ContactEstimator { network, history: ContactHistory::default(), scratch: Scratch::default() }
     }
 
     /// Returns the contact of each foot after a tick with this reading and the joint targets \[rad\] that were given
@@ -164,7 +164,7 @@ mod tests {
 
     #[test]
     fn the_history_holds_four_ticks_the_oldest_first() {
-        let mut history = History::default();
+        let mut history = ContactHistory::default();
         history.push(&reading(1.0), &[100.0; JOINTS]);
         assert!(history.inputs().chunks(PER_TICK).all(|tick| (tick[0], tick[12], tick[24]) == (1.0, 10.0, 100.0)));
         for tick in 2..=5 {
@@ -177,7 +177,7 @@ mod tests {
 
     #[test]
     fn a_reading_that_is_not_a_number_stays_out_of_the_history() {
-        let mut history = History::default();
+        let mut history = ContactHistory::default();
         history.push(&reading(1.0), &[0.0; JOINTS]);
         let before = history.clone();
         history.push(&reading(f64::NAN), &[0.0; JOINTS]);
