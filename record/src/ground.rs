@@ -12,7 +12,7 @@ use super::RecordError;
 use super::geometry::{child, scene_path};
 use super::stream::Stream;
 use super::style::{BACKGROUND, Rgb};
-use supple::mujoco::{Geom, Kind, Model, Shape};
+use supple::mujoco::{Geom, GeomShape, Kind, Model};
 use supple::sim::{Ground, Patches};
 
 /// Edge of a square of the pattern \[m\].
@@ -53,11 +53,11 @@ pub(super) fn log_grounds(
         let name = if geom.name.is_empty() { "ground" } else { &geom.name };
         let path = child(&scene_path(root), name);
         match geom.shape {
-            Shape::Plane => {
+            GeomShape::Plane => {
                 stream.log_static(&path, &patch_mesh(geom.position[2] as f32))?;
                 patches.push(Patch { path, cell: None });
             }
-            Shape::HeightField(id) => stream.log_static(&path, &field_mesh(model, &geom, id, ground.patches()))?,
+            GeomShape::HeightField(id) => stream.log_static(&path, &field_mesh(model, &geom, id, ground.patches()))?,
             _ => {}
         }
     }

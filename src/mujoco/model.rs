@@ -50,7 +50,7 @@ impl Kind {
 
 /// Shape of a geometry, with MuJoCo's convention for its sizes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Shape {
+pub enum GeomShape {
     /// An infinite plane; sizes are the drawn half-lengths.
     Plane,
     /// The height field of this id.
@@ -77,7 +77,7 @@ pub struct Geom {
     /// Id of the body that the geometry is fixed to.
     pub body: usize,
     /// The shape of the geometry.
-    pub shape: Shape,
+    pub shape: GeomShape,
     /// Shape-specific sizes \[m\].
     pub size: [f64; 3],
     /// Position in its body's frame \[m\].
@@ -684,14 +684,14 @@ impl Model {
         let raw = self.raw();
         let mesh = self.slice(raw.geom_dataid, raw.ngeom)[id].max(0) as usize;
         let shape = match self.slice(raw.geom_type, raw.ngeom)[id] as u32 {
-            sys::mjGEOM_PLANE => Shape::Plane,
-            sys::mjGEOM_HFIELD => Shape::HeightField(mesh),
-            sys::mjGEOM_SPHERE => Shape::Sphere,
-            sys::mjGEOM_CAPSULE => Shape::Capsule,
-            sys::mjGEOM_ELLIPSOID => Shape::Ellipsoid,
-            sys::mjGEOM_CYLINDER => Shape::Cylinder,
-            sys::mjGEOM_BOX => Shape::Box,
-            _ => Shape::Mesh(mesh),
+            sys::mjGEOM_PLANE => GeomShape::Plane,
+            sys::mjGEOM_HFIELD => GeomShape::HeightField(mesh),
+            sys::mjGEOM_SPHERE => GeomShape::Sphere,
+            sys::mjGEOM_CAPSULE => GeomShape::Capsule,
+            sys::mjGEOM_ELLIPSOID => GeomShape::Ellipsoid,
+            sys::mjGEOM_CYLINDER => GeomShape::Cylinder,
+            sys::mjGEOM_BOX => GeomShape::Box,
+            _ => GeomShape::Mesh(mesh),
         };
         let mut rgba = row(self.slice(raw.geom_rgba, 4 * raw.ngeom), id);
         let material = self.slice(raw.geom_matid, raw.ngeom)[id];

@@ -11,7 +11,7 @@ use super::newer::{self, Translated};
 use super::source::{Files, Source};
 use super::torque::torque_limits;
 use super::urdf;
-use crate::mujoco::{self, Data, GeomContact, Kind, Model, Shape};
+use crate::mujoco::{self, Data, GeomContact, GeomShape, Kind, Model};
 use crate::robot::error::RobotError;
 use crate::robot::kinematics::{Leg, bent_pose};
 use crate::robot::{HARNESS, JOINTS, Joints, LEGS, PARTS, joint_name, limits, sole_name};
@@ -75,7 +75,7 @@ pub(super) fn adapt(source: &Source) -> Result<Imported, RobotError> {
     let (mut start, has_pose) = survey.start(description)?;
     let mut document = survey.document(&tree, &start, description)?;
     let model = load(&document, files)?;
-    if !has_pose && survey.feet.iter().any(|foot| survey.model.geom(*foot).shape != Shape::Sphere) {
+    if !has_pose && survey.feet.iter().any(|foot| survey.model.geom(*foot).shape != GeomShape::Sphere) {
         // Knees will be bent; the feet then stand on other points.
         let limits = survey.joints.map(|joint| limits(&survey.model, joint));
         if let Some(bent) = bent_pose(&Leg::all(&model)?, &start.pose, &limits) {
@@ -299,7 +299,7 @@ impl<'a> Survey<'a> {
         }
         for (leg, foot) in self.feet.iter().enumerate() {
             // A sphere stands for itself.
-            if self.model.geom_body(*foot) == own && self.model.geom(*foot).shape != Shape::Sphere {
+            if self.model.geom_body(*foot) == own && self.model.geom(*foot).shape != GeomShape::Sphere {
                 let Sole { centre, radius } = start.soles[leg];
                 let site = Element::new("site").with("name", sole_name(leg)).with("type", "sphere");
                 let site = site.with("size", radius).with("pos", centre.map(|value| value.to_string()).join(" "));
@@ -336,8 +336,8 @@ impl<'a> Survey<'a> {
     /// Sets Supple's contact masks and removes settings that would override the ground's.
     fn change_geom(&self, element: &mut Element, geom: usize, contact: &GeomContact) -> Result<(), RobotError> {
         let shape = match self.model.geom(geom).shape {
-            Shape::Plane => "plane",
-            Shape::HeightField(_) => "height field",
+            GeomShape::Plane => "plane",
+            GeomShape::HeightField(_) => "height field",
             _ => "",
         };
         if !shape.is_empty() {
@@ -482,11 +482,11 @@ impl<'a> Survey<'a> {
         let radii = self.feet.map(|foot| model.geom(foot).size[0]);
         let foot = &feet[0];
         let shapes = self.feet.map(|foot| match model.geom(foot).shape {
-            Shape::Sphere => "spheres",
-            Shape::Capsule => "capsules",
-            Shape::Cylinder => "cylinders",
-            Shape::Ellipsoid => "ellipsoids",
-            Shape::Box => "boxes",
+            GeomShape::Sphere => "spheres",
+            GeomShape::Capsule => "capsules",
+            GeomShape::Cylinder => "cylinders",
+            GeomShape::Ellipsoid => "ellipsoids",
+            GeomShape::Box => "boxes",
             _ => "meshes",
         });
         let what = if shapes.iter().all(|shape| *shape == "spheres") {

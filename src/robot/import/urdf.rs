@@ -11,7 +11,7 @@ use nalgebra::{Isometry3, Matrix3, Point3, Quaternion, Translation3, UnitQuatern
 use super::load::load;
 use super::newer::Translated;
 use super::source::Files;
-use crate::mujoco::{Kind, Model, Shape};
+use crate::mujoco::{GeomShape, Kind, Model};
 use crate::robot::error::RobotError;
 use crate::util::xml::{Element, Place};
 
@@ -277,9 +277,9 @@ fn inertial(model: &Model, parts: &[(usize, Isometry3<f64>)], robot: &Element) -
 fn written_geom(model: &Model, geom: usize, part: &Isometry3<f64>) -> Element {
     let shape = model.geom(geom);
     let kind = match shape.shape {
-        Shape::Sphere => "sphere",
-        Shape::Capsule => "capsule",
-        Shape::Cylinder => "cylinder",
+        GeomShape::Sphere => "sphere",
+        GeomShape::Capsule => "capsule",
+        GeomShape::Cylinder => "cylinder",
         _ => "box",
     };
     let ([x, y, z], [w, i, j, k]) = (shape.position, shape.quaternion);
