@@ -11,7 +11,7 @@ use rerun::{Boxes3D, Capsules3D, Color, Cylinders3D, Ellipsoids3D, EntityPath, F
 use super::RecordError;
 use super::stream::Stream;
 use super::style::Rgb;
-use supple::mujoco::{Geom, GeomShape, Kind, Model};
+use supple::mujoco::{Geom, GeomShape, Model, Object};
 
 /// Visual groups that are drawn: looks, feet, obstacles. Group 3 contains collision geometries.
 const DRAWN_GROUPS: std::ops::RangeInclusive<i32> = 0..=2;
@@ -38,9 +38,9 @@ pub(super) fn log_model(
     model: &Model,
     tint: Option<Rgb>,
 ) -> Result<Parts, RecordError> {
-    let trunk = model.id(Kind::Body, "trunk")?;
-    let geoms: Vec<Geom> = (0..model.count(Kind::Geom)).map(|id| model.geom(id)).collect();
-    let count = model.count(Kind::Body);
+    let trunk = model.id(Object::Body, "trunk")?;
+    let geoms: Vec<Geom> = (0..model.count(Object::Geom)).map(|id| model.geom(id)).collect();
+    let count = model.count(Object::Body);
     let is_robot: Vec<bool> = (0..count).map(|body| model.is_below(body, trunk)).collect();
     let looks: Vec<Vec<&Geom>> = (0..count).map(|body| looks_of(body, &geoms)).collect();
 
@@ -57,7 +57,7 @@ pub(super) fn log_model(
     for body in (0..count).filter(|body| !balls.contains(body)) {
         let solid = |geom: &&Geom| Solid::new(geom, colour(geom.rgba, tint.filter(|_| is_robot[body])));
         let solids: Vec<Solid> = looks[body].iter().map(solid).collect();
-        let path = match (body, model.name(Kind::Body, body)) {
+        let path = match (body, model.name(Object::Body, body)) {
             (0, _) => child(&scene_path(root), "fixed"),
             (_, "") => child(root, &format!("body {body}")),
             (_, name) => child(root, name),
@@ -89,11 +89,11 @@ pub(super) fn balls_path(root: &EntityPath) -> EntityPath {
 
 /// Returns true if the scene has more than the robot and the ground.
 pub(super) fn has_obstacles(model: &Model) -> Result<bool, RecordError> {
-    let trunk = model.id(Kind::Body, "trunk")?;
+    let trunk = model.id(Object::Body, "trunk")?;
     let is_obstacle = |geom: Geom| {
         !matches!(geom.shape, GeomShape::Plane | GeomShape::HeightField(_)) && !model.is_below(geom.body, trunk)
     };
-    Ok((0..model.count(Kind::Geom)).any(|id| is_obstacle(model.geom(id))))
+    Ok((0..model.count(Object::Geom)).any(|id| is_obstacle(model.geom(id))))
 }
 
 /// Returns the path of an entity below another one; its name may contain any character.
@@ -115,8 +115,8 @@ fn looks_of(body: usize, geoms: &[Geom]) -> Vec<&Geom> {
 /// Returns the colour and opacity of every geometry in pictures, 0 to 1; `None` for those that are not drawn.
 #[cfg(feature = "video")]
 pub(super) fn colours(model: &Model, tint: Option<Rgb>) -> supple::mujoco::Result<Vec<Option<[f32; 4]>>> {
-    let trunk = model.id(Kind::Body, "trunk")?;
-    let geoms: Vec<Geom> = (0..model.count(Kind::Geom)).map(|id| model.geom(id)).collect();
+    let trunk = model.id(Object::Body, "trunk")?;
+    let geoms: Vec<Geom> = (0..model.count(Object::Geom)).map(|id| model.geom(id)).collect();
     let rgba = |geom: &Geom| {
         if matches!(geom.shape, GeomShape::Plane | GeomShape::HeightField(_)) {
             return Some(geom.rgba);

@@ -5,7 +5,7 @@ use std::ptr::NonNull;
 use mujoco_sys as sys;
 
 use super::error::{BufferKind, Error, Result, StateKind};
-use super::model::{Inertial, Kind, Model};
+use super::model::{Inertial, Model, Object};
 use super::{EMPTY_MESSAGE, check};
 
 /// A contact point found by MuJoCo's last position stage.
@@ -89,12 +89,12 @@ impl Data {
 
     /// Points that hinges turn about, world frame, shape (njnt, 3). \[m\]
     pub fn joint_anchors(&self) -> &[f64] {
-        self.slice(self.raw().xanchor, 3 * self.model.count(Kind::Joint))
+        self.slice(self.raw().xanchor, 3 * self.model.count(Object::Joint))
     }
 
     /// Axes of hinges, world frame, unit vectors, shape (njnt, 3).
     pub fn joint_axes(&self) -> &[f64] {
-        self.slice(self.raw().xaxis, 3 * self.model.count(Kind::Joint))
+        self.slice(self.raw().xaxis, 3 * self.model.count(Object::Joint))
     }
 
     /// Actuator controls, shape (nu).
@@ -109,37 +109,37 @@ impl Data {
 
     /// Applied force and torque on each body at its centre of mass, world frame, shape (nbody, 6). Persists. [N, N·m]
     pub fn applied_forces_mut(&mut self) -> &mut [f64] {
-        self.slice_mut(self.raw().xfrc_applied, 6 * self.model.count(Kind::Body))
+        self.slice_mut(self.raw().xfrc_applied, 6 * self.model.count(Object::Body))
     }
 
     /// Body frame origins, world frame, shape (nbody, 3). \[m\]
     pub fn body_positions(&self) -> &[f64] {
-        self.slice(self.raw().xpos, 3 * self.model.count(Kind::Body))
+        self.slice(self.raw().xpos, 3 * self.model.count(Object::Body))
     }
 
     /// Centres of mass of the bodies, world frame, shape (nbody, 3). \[m\]
     pub fn body_centres(&self) -> &[f64] {
-        self.slice(self.raw().xipos, 3 * self.model.count(Kind::Body))
+        self.slice(self.raw().xipos, 3 * self.model.count(Object::Body))
     }
 
     /// Body orientations (w, x, y, z), shape (nbody, 4).
     pub fn body_quaternions(&self) -> &[f64] {
-        self.slice(self.raw().xquat, 4 * self.model.count(Kind::Body))
+        self.slice(self.raw().xquat, 4 * self.model.count(Object::Body))
     }
 
     /// Geometry centres, world frame, shape (ngeom, 3). \[m\]
     pub fn geom_positions(&self) -> &[f64] {
-        self.slice(self.raw().geom_xpos, 3 * self.model.count(Kind::Geom))
+        self.slice(self.raw().geom_xpos, 3 * self.model.count(Object::Geom))
     }
 
     /// Geometry orientations, rotation matrices to the world frame by rows, shape (ngeom, 9).
     pub fn geom_rotations(&self) -> &[f64] {
-        self.slice(self.raw().geom_xmat, 9 * self.model.count(Kind::Geom))
+        self.slice(self.raw().geom_xmat, 9 * self.model.count(Object::Geom))
     }
 
     /// Sites, world frame, shape (nsite, 3). \[m\]
     pub fn site_positions(&self) -> &[f64] {
-        self.slice(self.raw().site_xpos, 3 * self.model.count(Kind::Site))
+        self.slice(self.raw().site_xpos, 3 * self.model.count(Object::Site))
     }
 
     /// Positions of the bodies that are moved from outside, shape (nmocap, 3). \[m\]
@@ -149,12 +149,12 @@ impl Data {
 
     /// Lengths of tendons as of the last first half-step, shape (ntendon). \[m\]
     pub fn tendon_lengths(&self) -> &[f64] {
-        self.slice(self.raw().ten_length, self.model.count(Kind::Tendon))
+        self.slice(self.raw().ten_length, self.model.count(Object::Tendon))
     }
 
     /// Rates of the lengths of tendons as of the last first half-step, shape (ntendon). [m/s]
     pub fn tendon_velocities(&self) -> &[f64] {
-        self.slice(self.raw().ten_velocity, self.model.count(Kind::Tendon))
+        self.slice(self.raw().ten_velocity, self.model.count(Object::Tendon))
     }
 
     /// The first numbers of a field of this data.
@@ -413,7 +413,7 @@ impl Data {
     /// # Panics
     /// There is no geometry of this id.
     pub fn geom_velocity(&self, geom: usize) -> [f64; 3] {
-        assert!(geom < self.model.count(Kind::Geom), "geom {geom} out of range");
+        assert!(geom < self.model.count(Object::Geom), "geom {geom} out of range");
         self.velocity_of(sys::mjOBJ_GEOM as i32, geom)
     }
 
@@ -422,7 +422,7 @@ impl Data {
     /// # Panics
     /// There is no site of this id.
     pub fn site_velocity(&self, site: usize) -> [f64; 3] {
-        assert!(site < self.model.count(Kind::Site), "site {site} out of range");
+        assert!(site < self.model.count(Object::Site), "site {site} out of range");
         self.velocity_of(sys::mjOBJ_SITE as i32, site)
     }
 

@@ -18,7 +18,7 @@ mod sizes;
 pub use data::{Contact, Data};
 pub use error::{BufferKind, Error, Result, StateKind};
 pub use library::library_file;
-pub use model::{Actuator, Geom, GeomContact, GeomShape, Inertial, Kind, Model};
+pub use model::{Actuator, Geom, GeomContact, GeomShape, Inertial, Model, Object};
 pub use render::{Camera, LARGEST_PICTURE, MOST_MARKS, Mark, MarkShape, Renderer};
 pub use sizes::{SizeError, check_sizes};
 

@@ -13,7 +13,7 @@ use crate::util::xml;
 
 /// A kind of named model element.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Kind {
+pub enum Object {
     /// A body: a rigid part with mass.
     Body,
     /// A joint between a body and its parent.
@@ -32,18 +32,18 @@ pub enum Kind {
     Tendon,
 }
 
-impl Kind {
+impl Object {
     /// Returns MuJoCo's constant of the kind and its name in messages.
     fn known(self) -> (u32, &'static str) {
         match self {
-            Kind::Body => (sys::mjOBJ_BODY, "body"),
-            Kind::Joint => (sys::mjOBJ_JOINT, "joint"),
-            Kind::Geom => (sys::mjOBJ_GEOM, "geom"),
-            Kind::Site => (sys::mjOBJ_SITE, "site"),
-            Kind::Actuator => (sys::mjOBJ_ACTUATOR, "actuator"),
-            Kind::Numeric => (sys::mjOBJ_NUMERIC, "numeric field"),
-            Kind::HeightField => (sys::mjOBJ_HFIELD, "height field"),
-            Kind::Tendon => (sys::mjOBJ_TENDON, "tendon"),
+            Object::Body => (sys::mjOBJ_BODY, "body"),
+            Object::Joint => (sys::mjOBJ_JOINT, "joint"),
+            Object::Geom => (sys::mjOBJ_GEOM, "geom"),
+            Object::Site => (sys::mjOBJ_SITE, "site"),
+            Object::Actuator => (sys::mjOBJ_ACTUATOR, "actuator"),
+            Object::Numeric => (sys::mjOBJ_NUMERIC, "numeric field"),
+            Object::HeightField => (sys::mjOBJ_HFIELD, "height field"),
+            Object::Tendon => (sys::mjOBJ_TENDON, "tendon"),
         }
     }
 }
@@ -405,18 +405,18 @@ impl Model {
 
     /// Returns the number of elements of a kind.
     #[allow(clippy::useless_conversion)] // later releases count with 64 bits
-    pub fn count(&self, kind: Kind) -> usize {
+    pub fn count(&self, kind: Object) -> usize {
         let raw = self.raw();
         (match kind {
-            Kind::Body => raw.nbody,
-            Kind::Joint => raw.njnt,
-            Kind::Geom => raw.ngeom,
-            Kind::Site => raw.nsite,
+            Object::Body => raw.nbody,
+            Object::Joint => raw.njnt,
+            Object::Geom => raw.ngeom,
+            Object::Site => raw.nsite,
             // SAFETY: the model is valid.
-            Kind::Actuator => unsafe { sys::supple_actuator_count(raw) }.into(),
-            Kind::Numeric => raw.nnumeric,
-            Kind::HeightField => raw.nhfield,
-            Kind::Tendon => raw.ntendon,
+            Object::Actuator => unsafe { sys::supple_actuator_count(raw) }.into(),
+            Object::Numeric => raw.nnumeric,
+            Object::HeightField => raw.nhfield,
+            Object::Tendon => raw.ntendon,
         }) as usize
     }
 
@@ -424,7 +424,7 @@ impl Model {
     ///
     /// # Errors
     /// The model has no such element; the error lists the names that it has.
-    pub fn id(&self, kind: Kind, name: &str) -> Result<usize> {
+    pub fn id(&self, kind: Object, name: &str) -> Result<usize> {
         // No element's name holds a zero byte.
         let id = CString::new(name).map_or(-1, |name| {
             // SAFETY: model and name are valid.
@@ -438,7 +438,7 @@ impl Model {
     }
 
     /// Returns the name of an element; empty if it has none or does not exist.
-    pub fn name(&self, kind: Kind, id: usize) -> &str {
+    pub fn name(&self, kind: Object, id: usize) -> &str {
         // SAFETY: MuJoCo checks the id's range and returns null for elements without a name.
         let name = unsafe { sys::mj_id2name(self.as_ptr(), kind.known().0 as i32, id as i32) };
         if name.is_null() {
@@ -475,7 +475,7 @@ impl Model {
     /// # Panics
     /// There is no geometry of this id.
     pub fn set_sliding_friction(&mut self, geom: usize, friction: f64) {
-        assert!(geom < self.count(Kind::Geom), "geom {geom} out of range");
+        assert!(geom < self.count(Object::Geom), "geom {geom} out of range");
         let raw = self.raw_mut();
         // SAFETY: geom_friction holds 3 numbers for each geom; the id was checked.
         unsafe { *raw.geom_friction.add(3 * geom) = friction };
@@ -495,7 +495,7 @@ impl Model {
     /// # Panics
     /// There is no geometry of this id.
     pub fn set_priority(&mut self, geom: usize, priority: i32) {
-        assert!(geom < self.count(Kind::Geom), "geom {geom} out of range");
+        assert!(geom < self.count(Object::Geom), "geom {geom} out of range");
         // SAFETY: geom_priority holds a number for each geom; the id was checked.
         unsafe { *self.raw_mut().geom_priority.add(geom) = priority };
     }
@@ -524,7 +524,7 @@ impl Model {
         let own_kg = self.body_mass()[body];
         let factor = 1.0 + mass_kg / own_kg;
         if !(factor > 0.0 && factor.is_finite()) {
-            let what = format!("mass to add to {}, of {own_kg:.2} kg", self.name(Kind::Body, body));
+            let what = format!("mass to add to {}, of {own_kg:.2} kg", self.name(Object::Body, body));
             return Err(Error::Input { what, found: format!("{mass_kg} kg") });
         }
         let parent = |body: usize| self.slice(self.raw().body_parentid, self.raw().nbody)[body] as usize;
@@ -567,12 +567,12 @@ impl Model {
     pub fn set_inertial(&mut self, body: usize, nominal: &Inertial, mass_kg: f64, offset_m: [f64; 3]) -> Result<()> {
         let factor = 1.0 + mass_kg / nominal.mass_kg;
         if !(factor > 0.0 && factor.is_finite()) {
-            let what = format!("mass to add to {}, of {:.2} kg", self.name(Kind::Body, body), nominal.mass_kg);
+            let what = format!("mass to add to {}, of {:.2} kg", self.name(Object::Body, body), nominal.mass_kg);
             return Err(Error::Input { what, found: format!("{mass_kg} kg") });
         }
-        assert!(body < self.count(Kind::Body), "body {body} out of range");
-        let geoms: Vec<usize> = (0..self.count(Kind::Geom)).filter(|geom| self.geom_body(*geom) == body).collect();
-        let sites: Vec<usize> = (0..self.count(Kind::Site)).filter(|site| self.site_body(*site) == body).collect();
+        assert!(body < self.count(Object::Body), "body {body} out of range");
+        let geoms: Vec<usize> = (0..self.count(Object::Geom)).filter(|geom| self.geom_body(*geom) == body).collect();
+        let sites: Vec<usize> = (0..self.count(Object::Site)).filter(|site| self.site_body(*site) == body).collect();
         let raw = self.raw_mut();
         // SAFETY: the arrays hold one mass, one subtree's mass, three moments and three coordinates for each body, and one
         // flag for each body, geometry and site. A flag says that frames coincide, which saves a rotation; they no longer do.
@@ -597,7 +597,7 @@ impl Model {
     /// # Panics
     /// There is no tendon of this id.
     pub fn set_longest_tendon(&mut self, tendon: usize, length_m: f64) {
-        assert!(tendon < self.count(Kind::Tendon), "tendon {tendon} out of range");
+        assert!(tendon < self.count(Object::Tendon), "tendon {tendon} out of range");
         // SAFETY: tendon_range holds 2 numbers for each tendon; the id was checked.
         unsafe { *self.raw_mut().tendon_range.add(2 * tendon + 1) = length_m };
     }
@@ -620,7 +620,7 @@ impl Model {
     /// Returns the effect of an actuator.
     pub fn actuator(&self, id: usize) -> Actuator {
         let raw = self.raw();
-        let count = self.count(Kind::Actuator) as i64;
+        let count = self.count(Object::Actuator) as i64;
         let on_joint = self.slice(raw.actuator_trntype, count)[id] == sys::mjTRN_JOINT as i32;
         let target = self.slice(raw.actuator_trnid, 2 * count)[2 * id];
         let limits = |limited: *const u8, range: *const f64| {
@@ -700,7 +700,7 @@ impl Model {
             rgba = row(self.slice(raw.mat_rgba, 4 * raw.nmat), material as usize);
         }
         Geom {
-            name: self.name(Kind::Geom, id).to_owned(),
+            name: self.name(Object::Geom, id).to_owned(),
             body: self.geom_body(id),
             shape,
             size: row(self.slice(raw.geom_size, 3 * raw.ngeom), id),
@@ -716,7 +716,7 @@ impl Model {
     /// # Panics
     /// There is no geometry of this id.
     pub fn set_look(&mut self, geom: usize, rgba: [f32; 4], is_drawn: bool) {
-        assert!(geom < self.count(Kind::Geom), "geom {geom} out of range");
+        assert!(geom < self.count(Object::Geom), "geom {geom} out of range");
         let raw = self.raw_mut();
         // SAFETY: the arrays hold four numbers and one group for each geom; the id was checked. Groups from 3 are not drawn.
         unsafe {
@@ -756,7 +756,7 @@ impl Model {
     /// # Errors
     /// The model has no field of this name; the error lists the names that it has.
     pub fn numeric(&self, name: &str) -> Result<&[f64]> {
-        let id = self.id(Kind::Numeric, name)?;
+        let id = self.id(Object::Numeric, name)?;
         let raw = self.raw();
         let start = self.slice(raw.numeric_adr, raw.nnumeric)[id] as usize;
         let size = self.slice(raw.numeric_size, raw.nnumeric)[id] as usize;

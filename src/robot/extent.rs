@@ -21,7 +21,7 @@ impl Extent {
     pub(super) fn of(model: &Model, body: usize) -> Self {
         let is_shape = |geom: &usize| model.geom_body(*geom) == body && model.geom_contact(*geom).collides();
         let shapes: Vec<Geom> =
-            (0..model.count(crate::mujoco::Kind::Geom)).filter(is_shape).map(|geom| model.geom(geom)).collect();
+            (0..model.count(crate::mujoco::Object::Geom)).filter(is_shape).map(|geom| model.geom(geom)).collect();
         let reach = |shape: &Geom, direction: Vector3<f64>| {
             Vector3::from(shape.position).dot(&direction) + half_width(shape, direction)
         };

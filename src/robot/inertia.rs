@@ -3,7 +3,7 @@
 use nalgebra::DMatrix;
 
 use super::{JOINTS, Joints, Robot, RobotError, joint_name};
-use crate::mujoco::{self, Data, Kind, Model};
+use crate::mujoco::{self, Data, Model, Object};
 
 impl Robot {
     /// Returns the least inertia that any combination of the joints feels in a pose, with the trunk free and the feet in the air
@@ -17,7 +17,7 @@ impl Robot {
         model.set_gravity([0.0; 3]);
         let mut joints = [(0, 0); JOINTS];
         for (index, joint) in joints.iter_mut().enumerate() {
-            let id = model.id(Kind::Joint, &format!("{}_joint", joint_name(index))).map_err(words)?;
+            let id = model.id(Object::Joint, &format!("{}_joint", joint_name(index))).map_err(words)?;
             *joint = (model.joint_position_index(id), model.joint_velocity_index(id));
         }
         let freedoms = model.nv();

@@ -10,7 +10,7 @@ more than a trunk is wide.
 use nalgebra::{Rotation2, Vector2};
 
 use super::Script;
-use crate::mujoco::{self, Data, Kind};
+use crate::mujoco::{self, Data, Object};
 use crate::robot::RobotState;
 use crate::scenario::trace::{Event, EventKind, Rope};
 use crate::sim::{Buffers, Sim};
@@ -174,9 +174,9 @@ impl RigState {
     pub(super) fn new(rig: &Rig, sim: &Sim) -> mujoco::Result<Self> {
         let model = sim.data().model();
         let load = rig.load.name;
-        let joint = model.id(Kind::Joint, load)?;
+        let joint = model.id(Object::Joint, load)?;
         let holder = |name: &str| {
-            let body = model.id(Kind::Body, name)?;
+            let body = model.id(Object::Body, name)?;
             model.mocap_index(body).ok_or_else(|| mujoco::Error::Name {
                 kind: "body moved from outside",
                 name: name.to_owned(),
@@ -184,13 +184,13 @@ impl RigState {
             })
         };
         Ok(RigState {
-            tendon: model.id(Kind::Tendon, ROPE)?,
-            load: model.id(Kind::Body, load)?,
-            load_geom: model.id(Kind::Geom, load)?,
+            tendon: model.id(Object::Tendon, ROPE)?,
+            load: model.id(Object::Body, load)?,
+            load_geom: model.id(Object::Geom, load)?,
             load_position: model.joint_position_index(joint),
             load_velocity: model.joint_velocity_index(joint),
             holders: rig.holders.iter().map(|it| holder(it.name)).collect::<mujoco::Result<_>>()?,
-            sites: rig.path().map(|name| model.id(Kind::Site, name)).collect::<mujoco::Result<_>>()?,
+            sites: rig.path().map(|name| model.id(Object::Site, name)).collect::<mujoco::Result<_>>()?,
             phase: Phase::Carried,
             has_hit: false,
             is_grounded: false,
@@ -253,7 +253,7 @@ impl RigState {
         if let (false, Some(part)) = (self.has_hit, touched) {
             self.has_hit = true;
             let model = data.model();
-            let part = model.name(Kind::Body, model.geom_body(part));
+            let part = model.name(Object::Body, model.geom_body(part));
             let text = format!("the {} hits {part} at {:.2} m/s", rig.load.name, self.speed_m_s);
             // Disturbances are dated at the beginning of their step.
             let time_s = time_s - sim.policy_period_s();

@@ -13,7 +13,7 @@ oscillate with a period of 0.8 s, about 200 physics steps.
 use nalgebra::Vector3;
 
 use super::rig::RopeForces;
-use crate::mujoco::{self, Data, Kind};
+use crate::mujoco::{self, Data, Object};
 use crate::robot::HARNESS;
 use crate::scenario::trace::{Disturbance, Stretch};
 use crate::sim::Sim;
@@ -90,7 +90,7 @@ pub(super) struct SpringState {
 impl SpringState {
     /// Looks up the site at the trunk's centre of mass.
     pub(super) fn new(sim: &Sim) -> mujoco::Result<Self> {
-        let harness = sim.data().model().id(Kind::Site, HARNESS)?;
+        let harness = sim.data().model().id(Object::Site, HARNESS)?;
         Ok(SpringState { harness, start_m: None, stretch_m: None, forces: RopeForces::default(), has_acted: false })
     }
 

@@ -4,7 +4,7 @@ use super::VideoError;
 use crate::marks::{self, Arrow};
 use crate::style::{BLUE, CAMERA_LAG_S, GREY, PURPLE, PUSH_SHOWN_S, Rgb, VERMILLION, YELLOW};
 use crate::{RobotView, geometry};
-use supple::mujoco::{Camera, Kind, Mark, MarkShape, Renderer};
+use supple::mujoco::{Camera, Mark, MarkShape, Object, Renderer};
 use supple::scenario::trace::{Disturbance, Frame, Pose, Trace};
 
 /// Length of the arrows of pulls and felt forces [m/N]; longer than in recordings, as there is no zoom.
@@ -42,7 +42,7 @@ impl<'a> View<'a> {
         for (geom, rgba) in geometry::colours(&model, robot.tint)?.into_iter().enumerate() {
             model.set_look(geom, rgba.unwrap_or_default(), rgba.is_some());
         }
-        let bodies = model.count(Kind::Body);
+        let bodies = model.count(Object::Body);
         Ok(View { robot: *robot, trace, renderer: Renderer::new(model, size)?, bodies, looked_at: None })
     }
 

@@ -9,7 +9,7 @@ point, and stays on the foot.
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 
 use super::names::Description;
-use crate::mujoco::{Data, GeomShape, Kind, Model};
+use crate::mujoco::{Data, GeomShape, Model, Object};
 use crate::robot::error::RobotError;
 use crate::robot::{LEGS, joint_name};
 
@@ -65,8 +65,8 @@ pub(super) fn find(data: &Data, description: &Description, joints: &[usize]) -> 
 }
 
 fn named(model: &Model, name: &str, leg: usize, joints: &[usize]) -> Result<usize, RobotError> {
-    let Ok(foot) = model.id(Kind::Geom, name) else {
-        let names = (0..model.count(Kind::Geom)).map(|geom| model.name(Kind::Geom, geom));
+    let Ok(foot) = model.id(Object::Geom, name) else {
+        let names = (0..model.count(Object::Geom)).map(|geom| model.name(Object::Geom, geom));
         let known = names.filter(|name| !name.is_empty()).collect::<Vec<_>>().join(", ");
         return Err(RobotError::NoGeometry { name: name.to_owned(), leg: LEGS[leg], known });
     };
@@ -92,7 +92,7 @@ fn lowest(data: &Data, leg: usize, joints: &[usize]) -> Result<usize, RobotError
     let model = data.model();
     // A foot may be a body of its own, fixed to the calf.
     let calf = model.joint_body(joints[3 * leg + 2]);
-    let candidates: Vec<(usize, f64)> = (0..model.count(Kind::Geom))
+    let candidates: Vec<(usize, f64)> = (0..model.count(Object::Geom))
         .filter(|geom| model.geom_contact(*geom).collides() && model.is_below(model.geom_body(*geom), calf))
         .filter_map(|geom| Some((geom, lower_end(data, geom)?.point.z)))
         .collect();

@@ -11,7 +11,7 @@ use super::newer::{self, Translated};
 use super::source::{Files, Source};
 use super::torque::torque_limits;
 use super::urdf;
-use crate::mujoco::{self, Data, GeomContact, GeomShape, Kind, Model};
+use crate::mujoco::{self, Data, GeomContact, GeomShape, Model, Object};
 use crate::robot::error::RobotError;
 use crate::robot::kinematics::{Leg, bent_pose};
 use crate::robot::{HARNESS, JOINTS, Joints, LEGS, PARTS, joint_name, limits, sole_name};
@@ -89,7 +89,7 @@ pub(super) fn adapt(source: &Source) -> Result<Imported, RobotError> {
     let mut mjcf = String::new();
     document.write(&mut mjcf);
     let sha256 = source.sha256(&assets)?;
-    let joints = survey.joints.map(|joint| survey.model.name(Kind::Joint, joint).to_owned());
+    let joints = survey.joints.map(|joint| survey.model.name(Object::Joint, joint).to_owned());
     Ok(Imported { mjcf, report, has_pose, fall_height_m: description.fall_height_m, sha256, joints, assets })
 }
 
@@ -167,12 +167,12 @@ impl<'a> Survey<'a> {
         states_masses: bool,
     ) -> Result<Self, RobotError> {
         let model = load(tree, files)?;
-        let name = |joint: usize| model.name(Kind::Joint, joint).to_owned();
-        let free: Vec<usize> = (0..model.count(Kind::Joint)).filter(|joint| model.is_free(*joint)).collect();
+        let name = |joint: usize| model.name(Object::Joint, joint).to_owned();
+        let free: Vec<usize> = (0..model.count(Object::Joint)).filter(|joint| model.is_free(*joint)).collect();
         let joints = description.joints(&model)?;
         // Bodies in between may be fixed to one another.
         let above = |body: usize| {
-            let moves = |body: usize| (0..model.count(Kind::Joint)).any(|joint| model.joint_body(joint) == body);
+            let moves = |body: usize| (0..model.count(Object::Joint)).any(|joint| model.joint_body(joint) == body);
             let mut above = model.body_parent(body);
             while above != 0 && !moves(above) {
                 above = model.body_parent(above);
@@ -190,7 +190,7 @@ impl<'a> Survey<'a> {
                 return Err(RobotError::NotInLine(name(leg[0]), name(leg[1]), name(leg[2])));
             }
         }
-        let others: Vec<String> = (0..model.count(Kind::Joint))
+        let others: Vec<String> = (0..model.count(Object::Joint))
             .filter(|joint| {
                 *joint != root && !joints.contains(joint) && model.is_below(model.joint_body(*joint), trunk)
             })
@@ -199,8 +199,8 @@ impl<'a> Survey<'a> {
         if !others.is_empty() {
             return Err(RobotError::OtherJoints(others.join(", ")));
         }
-        let mut geoms = vec![Vec::new(); model.count(Kind::Body)];
-        for geom in 0..model.count(Kind::Geom) {
+        let mut geoms = vec![Vec::new(); model.count(Object::Body)];
+        for geom in 0..model.count(Object::Geom) {
             geoms[model.geom_body(geom)].push((geom, model.geom_contact(geom)));
         }
         let mut notes = Vec::new();
@@ -324,7 +324,7 @@ impl<'a> Survey<'a> {
 
     fn change_joint(&self, joint: &mut Element) {
         let name = joint.get("name").unwrap_or("");
-        let ours = self.joints.iter().position(|id| self.model.name(Kind::Joint, *id) == name);
+        let ours = self.joints.iter().position(|id| self.model.name(Object::Joint, *id) == name);
         if let Some(index) = ours {
             joint.set("limited", self.model.joint_is_limited(self.joints[index]));
         }
@@ -392,7 +392,7 @@ impl<'a> Survey<'a> {
     fn placed(&self, pose: &Joints) -> Result<Data, RobotError> {
         let fail = |error: mujoco::Error| RobotError::Engine(error.to_string());
         let model = self.model.try_clone().map_err(fail)?;
-        let root = (0..model.count(Kind::Joint)).find(|joint| model.joint_body(*joint) == self.trunk).unwrap_or(0);
+        let root = (0..model.count(Object::Joint)).find(|joint| model.joint_body(*joint) == self.trunk).unwrap_or(0);
         let base = model.joint_position_index(root);
         let places = self.joints.map(|joint| model.joint_position_index(joint));
         let mut data = Data::new(model).map_err(fail)?;
@@ -441,7 +441,7 @@ impl<'a> Survey<'a> {
     fn report(&self) -> Vec<String> {
         let model = &self.model;
         let mut lines = Vec::new();
-        let bodies = (self.trunk..model.count(Kind::Body)).filter(|body| model.is_below(*body, self.trunk));
+        let bodies = (self.trunk..model.count(Object::Body)).filter(|body| model.is_below(*body, self.trunk));
         let mass: f64 = bodies.map(|body| model.body_mass()[body]).sum();
         lines.push(format!("mass: {mass:.3} kg, kept, as are inertias, shapes, joint limits and armature"));
         if self.states_masses {
@@ -467,14 +467,14 @@ impl<'a> Survey<'a> {
             lines.push(format!("joint limits: none in the file for {}, which turn freely", without.join(", ")));
         }
         let limits = self.torque_limits;
-        let servos = (0..model.count(Kind::Actuator)).filter(|id| model.actuator(*id).has_bias).count();
+        let servos = (0..model.count(Object::Actuator)).filter(|id| model.actuator(*id).has_bias).count();
         let hips_and_thighs: Vec<f64> =
             limits.chunks(PARTS.len()).flat_map(|leg| &leg[..PARTS.len() - 1]).copied().collect();
         let calves: Vec<f64> = limits.chunks(PARTS.len()).map(|leg| leg[PARTS.len() - 1]).collect();
         lines.push(format!(
             "actuators: {} ({servos} of them servos) replaced by torque motors under our PD law; limits {} N m (hip, \
              thigh) and {} N m (calf)",
-            model.count(Kind::Actuator),
+            model.count(Object::Actuator),
             range(&hips_and_thighs),
             range(&calves),
         ));
@@ -549,7 +549,7 @@ fn left_out(tree: &Element, survey: &Survey<'_>) -> Vec<String> {
     if !found.is_empty() {
         lines.push(format!("sections left out: {}", found.join(", ")));
     }
-    let moving = (0..survey.model.count(Kind::Joint)).filter(|joint| survey.model.is_free(*joint)).count();
+    let moving = (0..survey.model.count(Object::Joint)).filter(|joint| survey.model.is_free(*joint)).count();
     if moving > 1 {
         lines.push(format!("{} loose bodies beside the robot left out", moving - 1));
     }

@@ -11,7 +11,7 @@ use nalgebra::{Isometry3, Matrix3, Point3, Quaternion, Translation3, UnitQuatern
 use super::load::load;
 use super::newer::Translated;
 use super::source::Files;
-use crate::mujoco::{GeomShape, Kind, Model};
+use crate::mujoco::{GeomShape, Model, Object};
 use crate::robot::error::RobotError;
 use crate::util::xml::{Element, Place};
 
@@ -184,23 +184,23 @@ fn written(model: &Model, robot: &Element) -> Element {
 /// itself.
 fn bodies(model: &Model, parent: usize, robot: &Element) -> Vec<Element> {
     let moving = parts(model, parent).into_iter().flat_map(|(part, pose)| {
-        let below = (1..model.count(Kind::Body)).filter(move |body| model.body_parent(*body) == part);
+        let below = (1..model.count(Object::Body)).filter(move |body| model.body_parent(*body) == part);
         below.filter(|body| moves(model, *body)).map(move |body| (body, pose * local(model, body)))
     });
     moving
         .map(|(body, pose)| {
-            let name = model.name(Kind::Body, body);
+            let name = model.name(Object::Body, body);
             let mut element = Element { place: place(robot, "link", name), ..Element::new("body") };
             element.set("name", name);
             element.set("pos", list(pose.translation.vector.as_slice()));
             element.set("quat", quaternion(&pose.rotation));
             let parts = parts(model, body);
             element.children.extend(inertial(model, &parts, robot));
-            for joint in (0..model.count(Kind::Joint)).filter(|joint| model.joint_body(*joint) == body) {
+            for joint in (0..model.count(Object::Joint)).filter(|joint| model.joint_body(*joint) == body) {
                 element.children.push(written_joint(model, joint, robot));
             }
             for (part, pose) in &parts {
-                for geom in (0..model.count(Kind::Geom)).filter(|geom| model.geom_body(*geom) == *part) {
+                for geom in (0..model.count(Object::Geom)).filter(|geom| model.geom_body(*geom) == *part) {
                     element.children.push(written_geom(model, geom, pose));
                 }
             }
@@ -212,7 +212,7 @@ fn bodies(model: &Model, parent: usize, robot: &Element) -> Vec<Element> {
 
 /// Returns true if a joint moves a body.
 fn moves(model: &Model, body: usize) -> bool {
-    (0..model.count(Kind::Joint)).any(|joint| model.joint_body(joint) == body)
+    (0..model.count(Object::Joint)).any(|joint| model.joint_body(joint) == body)
 }
 
 /// Returns the pose of a body in the frame of the body above it.
@@ -228,7 +228,7 @@ fn parts(model: &Model, body: usize) -> Vec<(usize, Isometry3<f64>)> {
     while next < parts.len() {
         let (part, pose) = parts[next];
         let fixed =
-            (1..model.count(Kind::Body)).filter(|below| model.body_parent(*below) == part && !moves(model, *below));
+            (1..model.count(Object::Body)).filter(|below| model.body_parent(*below) == part && !moves(model, *below));
         parts.extend(fixed.map(|below| (below, pose * local(model, below))));
         next += 1;
     }
@@ -238,7 +238,7 @@ fn parts(model: &Model, body: usize) -> Vec<(usize, Isometry3<f64>)> {
 /// Writes the mass and inertia of parts that are fixed to one another; `None` if no link states any.
 fn inertial(model: &Model, parts: &[(usize, Isometry3<f64>)], robot: &Element) -> Option<Element> {
     let states = |body: usize| {
-        let link = robot.all("link").find(|link| link.get("name") == Some(model.name(Kind::Body, body)));
+        let link = robot.all("link").find(|link| link.get("name") == Some(model.name(Object::Body, body)));
         link.is_some_and(|link| link.all("inertial").next().is_some())
     };
     let heavy: Vec<_> = parts.iter().filter(|(body, _)| states(*body)).collect();
@@ -296,7 +296,7 @@ fn quaternion(turn: &UnitQuaternion<f64>) -> String {
 }
 
 fn written_joint(model: &Model, joint: usize, robot: &Element) -> Element {
-    let name = model.name(Kind::Joint, joint);
+    let name = model.name(Object::Joint, joint);
     if model.is_free(joint) {
         return Element::new("freejoint").with("name", name);
     }
