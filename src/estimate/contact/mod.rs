@@ -7,16 +7,15 @@ that it [stands](crate::robot::FootState::stands), which is what an estimator of
 layers, and cross-entropy on the logit of each foot.
 */
 
-mod file;
 pub mod learn;
+mod network;
 pub mod score;
 
-use crate::network::{Mlp, PackedMlp, Scratch};
+use crate::network::Scratch;
 use crate::robot::{JOINTS, Joints};
-use crate::util::files::{self, FileError};
 
 use super::EncoderReading;
-pub use file::{ContactProvenance, HeldOut, PolicySource};
+pub use network::{ContactNetwork, ContactProvenance, HeldOut, PolicySource, shipped_sha256};
 
 /// Number of ticks in the input, the present one included.
 pub const TICKS: usize = 4;
@@ -31,14 +30,6 @@ pub const INPUTS: usize = TICKS * PER_TICK;
 pub const RATE_HZ: f64 = 240.0;
 
 const _: () = assert!(INPUTS == 144);
-
-/// The file of the shipped network.
-const SHIPPED: &[u8] = include_bytes!("../../../models/contact.safetensors");
-
-/// Returns the SHA-256 of the shipped file.
-pub fn shipped_sha256() -> String {
-    files::sha256(&[SHIPPED])
-}
 
 /// The last [`TICKS`] ticks, the input of the network in physical units.
 #[derive(Debug, Clone, PartialEq)]
@@ -73,62 +64,6 @@ impl ContactHistory {
     /// Returns the input: the oldest tick first, in each angles, rates and targets.
     pub fn inputs(&self) -> &[f32; INPUTS] {
         &self.inputs
-    }
-}
-
-/// A trained network, its normaliser and its origin.
-#[derive(Debug)]
-pub struct ContactNetwork {
-    /// The network from normalised inputs to a logit for each foot.
-    pub mlp: Mlp,
-    /// Mean of each input in training, physical units.
-    pub offset: Vec<f32>,
-    /// Inverse standard deviation of each input in training.
-    pub scale: Vec<f32>,
-    /// Origin of the network: data, seed and scores.
-    pub provenance: ContactProvenance,
-    packed: PackedMlp,
-}
-
-impl ContactNetwork {
-    /// Assembles the network and its normaliser.
-    ///
-    /// # Panics
-    /// The network does not map 144 numbers to 4, or the normaliser has another length.
-    pub fn new(mlp: Mlp, offset: Vec<f32>, scale: Vec<f32>, provenance: ContactProvenance) -> Self {
-        assert_eq!((mlp.inputs(), mlp.outputs()), (INPUTS, 4), "a contact network leads from 144 numbers to 4");
-        assert_eq!((offset.len(), scale.len()), (INPUTS, INPUTS), "every input has an offset and a scale");
-        ContactNetwork { packed: PackedMlp::new(&mlp), mlp, offset, scale, provenance }
-    }
-
-    /// Loads the network inside the program.
-    ///
-    /// # Errors
-    /// The program was built with a damaged file.
-    pub fn shipped() -> Result<Self, FileError> {
-        Self::from_bytes(SHIPPED, std::path::Path::new("models/contact.safetensors"))
-    }
-
-    /// Returns a warning that names the policies (name and SHA-256) whose gait the network was not trained on, if any.
-    pub fn unfamiliar<'a>(&self, policies: impl IntoIterator<Item = (String, &'a str)>) -> Option<String> {
-        let known = |sha256: &str| self.provenance.policies.iter().any(|policy| policy.sha256 == sha256);
-        let strangers: Vec<String> =
-            policies.into_iter().filter(|(_, sha256)| !known(sha256)).map(|(name, _)| name).collect();
-        (!strangers.is_empty()).then(|| {
-            format!(
-                "the contact network was not trained on how {} walks and may miss contacts; train_contact trains one",
-                strangers.join(", ")
-            )
-        })
-    }
-
-    /// Returns the logit of contact for each foot, in the order of [`crate::robot::LEGS`], for the inputs of a
-    /// [`ContactHistory`].
-    pub fn logits(&self, inputs: &[f32; INPUTS], scratch: &mut Scratch) -> [f32; 4] {
-        let seen: [f32; INPUTS] = std::array::from_fn(|k| (inputs[k] - self.offset[k]) * self.scale[k]);
-        let mut logits = [0.0; 4];
-        self.packed.forward(1, &seen, &mut logits, scratch);
-        logits
     }
 }
 
@@ -182,14 +117,5 @@ mod tests {
         let before = history.clone();
         history.push(&reading(f64::NAN), &[0.0; JOINTS]);
         assert_eq!(history, before);
-    }
-
-    #[test]
-    fn shipped_network_reaches_stated_scores() {
-        let network = ContactNetwork::shipped().unwrap();
-        assert!(network.provenance.held_out.iter().all(|foot| foot.f1 > 0.95), "{:?}", network.provenance.held_out);
-        // With any inputs the answer is a number.
-        let logits = network.logits(&[0.0; INPUTS], &mut Scratch::default());
-        assert!(logits.iter().all(|logit| logit.is_finite()));
     }
 }

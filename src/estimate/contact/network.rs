@@ -1,4 +1,4 @@
-/*! The file of the contact network: tensors (weights, normaliser) and JSON (meaning of the numbers, provenance,
+/*! The contact network and its file: tensors (weights, normaliser) and JSON (meaning of the numbers, provenance,
 scores).
 
 All tensors are under a checksum, because one wrong bit would change the estimates silently.
@@ -8,9 +8,9 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::{ContactNetwork, INPUTS, RATE_HZ, TICKS};
+use super::{INPUTS, RATE_HZ, TICKS};
 use crate::estimate::SensorNoise;
-use crate::network::{Mlp, NetworkError};
+use crate::network::{Mlp, NetworkError, PackedMlp, Scratch};
 use crate::robot::{JOINTS, LEGS, joint_names};
 use crate::util::files::{self, FileError};
 use crate::util::tensors::{self, StoredTensor, TensorError};
@@ -23,6 +23,14 @@ const CONTACT: &str = "contact network";
 
 /// Maximum size of a contact network's file \[bytes\].
 const MAX_BYTES: u64 = 16 << 20;
+
+/// The file of the shipped network.
+const SHIPPED: &[u8] = include_bytes!("../../../models/contact.safetensors");
+
+/// Returns the SHA-256 of the shipped file.
+pub fn shipped_sha256() -> String {
+    files::sha256(&[SHIPPED])
+}
 
 /// A policy whose walking produced the training data.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -89,7 +97,61 @@ struct ContactMetadata {
     provenance: ContactProvenance,
 }
 
+/// A trained network, its normaliser and its origin.
+#[derive(Debug)]
+pub struct ContactNetwork {
+    /// The network from normalised inputs to a logit for each foot.
+    pub mlp: Mlp,
+    /// Mean of each input in training, physical units.
+    pub offset: Vec<f32>,
+    /// Inverse standard deviation of each input in training.
+    pub scale: Vec<f32>,
+    /// Origin of the network: data, seed and scores.
+    pub provenance: ContactProvenance,
+    packed: PackedMlp,
+}
+
 impl ContactNetwork {
+    /// Assembles the network and its normaliser.
+    ///
+    /// # Panics
+    /// The network does not map 144 numbers to 4, or the normaliser has another length.
+    pub fn new(mlp: Mlp, offset: Vec<f32>, scale: Vec<f32>, provenance: ContactProvenance) -> Self {
+        assert_eq!((mlp.inputs(), mlp.outputs()), (INPUTS, 4), "a contact network leads from 144 numbers to 4");
+        assert_eq!((offset.len(), scale.len()), (INPUTS, INPUTS), "every input has an offset and a scale");
+        ContactNetwork { packed: PackedMlp::new(&mlp), mlp, offset, scale, provenance }
+    }
+
+    /// Loads the network inside the program.
+    ///
+    /// # Errors
+    /// The program was built with a damaged file.
+    pub fn shipped() -> Result<Self, FileError> {
+        Self::from_bytes(SHIPPED, Path::new("models/contact.safetensors"))
+    }
+
+    /// Returns a warning that names the policies (name and SHA-256) whose gait the network was not trained on, if any.
+    pub fn unfamiliar<'a>(&self, policies: impl IntoIterator<Item = (String, &'a str)>) -> Option<String> {
+        let known = |sha256: &str| self.provenance.policies.iter().any(|policy| policy.sha256 == sha256);
+        let strangers: Vec<String> =
+            policies.into_iter().filter(|(_, sha256)| !known(sha256)).map(|(name, _)| name).collect();
+        (!strangers.is_empty()).then(|| {
+            format!(
+                "the contact network was not trained on how {} walks and may miss contacts; train_contact trains one",
+                strangers.join(", ")
+            )
+        })
+    }
+
+    /// Returns the logit of contact for each foot, in the order of [`crate::robot::LEGS`], for the inputs of a
+    /// [`ContactHistory`](super::ContactHistory).
+    pub fn logits(&self, inputs: &[f32; INPUTS], scratch: &mut Scratch) -> [f32; 4] {
+        let seen: [f32; INPUTS] = std::array::from_fn(|k| (inputs[k] - self.offset[k]) * self.scale[k]);
+        let mut logits = [0.0; 4];
+        self.packed.forward(1, &seen, &mut logits, scratch);
+        logits
+    }
+
     /// Serialises the file.
     ///
     /// # Errors
@@ -270,5 +332,14 @@ mod tests {
         assert!(refusal(b"no such thing").contains("was it cut off"));
         let missing = ContactNetwork::load(Path::new("nowhere/contact.safetensors")).unwrap_err().to_string();
         assert!(missing.contains("nowhere/contact.safetensors"), "{missing}");
+    }
+
+    #[test]
+    fn shipped_network_reaches_stated_scores() {
+        let network = ContactNetwork::shipped().unwrap();
+        assert!(network.provenance.held_out.iter().all(|foot| foot.f1 > 0.95), "{:?}", network.provenance.held_out);
+        // With any inputs the answer is a number.
+        let logits = network.logits(&[0.0; INPUTS], &mut Scratch::default());
+        assert!(logits.iter().all(|logit| logit.is_finite()));
     }
 }
