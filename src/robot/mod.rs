@@ -27,6 +27,7 @@ pub use extent::Extent;
 use import::Imported;
 pub use import::isolate_imports;
 pub(crate) use import::recognise;
+pub use inertia::least_inertia;
 use kinematics::bent_pose;
 pub use kinematics::{Foot, FootSphere, Leg};
 use legs::sole_name;
@@ -294,6 +295,18 @@ impl Robot {
     /// Returns the height of the trunk's origin above the ground when it stands level on its lowest foot \[m\].
     pub fn standing_height_m(&self, pose: &Joints) -> f64 {
         kinematics::standing_height_m(&self.legs, pose)
+    }
+
+    /// Describes the values read from the robot's file and the changes made to it.
+    pub fn description(&self) -> String {
+        let height = self.standing_height_m(&self.nominal_pose);
+        let mut text = format!("{}: {:.3} kg, trunk {height:.3} m above the ground\n", self.name, self.mass_kg);
+        for line in &self.report {
+            text.push_str(&format!("  {line}\n"));
+        }
+        text.push('\n');
+        text.push_str(&joint_table(&self.nominal_pose, &self.joint_limits, &self.torque_limits));
+        text
     }
 
     /// Mirrors a joint between left and right: returns the joint that takes over its angle, and the sign. The legs of
