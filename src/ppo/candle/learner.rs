@@ -14,7 +14,7 @@ use crate::ppo::{Batch, Learner, LearnerState, UpdateFault, UpdateStatistics};
 use crate::ranks::Alone;
 
 /// Divergences below this count as zero: candle's means differ from those of the rollout in their last bits, which must
-/// not look like a policy that changes too little (see [`Ppo::adapted_learning_rate`]). One gradient step with the
+/// not look like a policy that changes too little (see `adapted_learning_rate`). One gradient step with the
 /// lowest learning rate changes it by a hundred times more.
 const KL_ROUNDING: f64 = 1e-8;
 
