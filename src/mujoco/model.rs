@@ -177,149 +177,69 @@ impl Drop for Model {
 
 /// Sizes, whole arrays, and the values of single elements. The length of an array is the size that mjmodel.h documents for it.
 impl Model {
-    /// Number of generalised positions.
-    pub fn nq(&self) -> usize {
-        self.raw().nq as usize
-    }
-
-    /// Number of generalised velocities.
-    pub fn nv(&self) -> usize {
-        self.raw().nv as usize
-    }
-
-    /// Number of actuators.
-    pub fn nu(&self) -> usize {
-        self.raw().nu as usize
-    }
-
-    /// Capacity of the contact buffer.
-    pub fn nconmax(&self) -> usize {
-        self.raw().nconmax as usize
-    }
-
-    /// Capacity of the constraint buffer \[rows\].
-    pub fn njmax(&self) -> usize {
-        self.raw().njmax as usize
-    }
-
-    /// Number of bodies that are moved from outside.
-    pub fn mocap_count(&self) -> usize {
-        self.raw().nmocap as usize
-    }
-
-    /// Viscous damping of every degree of freedom, shape (nv). [N·m·s/rad]
-    pub fn damping(&self) -> &[f64] {
-        self.slice(self.raw().dof_damping, self.raw().nv)
-    }
-
-    /// Reflected rotor inertia of every degree of freedom, shape (nv). [kg·m²]
-    pub fn armature(&self) -> &[f64] {
-        self.slice(self.raw().dof_armature, self.raw().nv)
-    }
-
-    /// Coulomb friction of every degree of freedom, shape (nv). [N·m]
-    pub fn friction_loss(&self) -> &[f64] {
-        self.slice(self.raw().dof_frictionloss, self.raw().nv)
-    }
-
-    /// Positions that the file puts everything at, shape (nq).
-    pub fn rest_positions(&self) -> &[f64] {
-        self.slice(self.raw().qpos0, self.raw().nq)
-    }
-
-    /// Mass of every body, shape (nbody). \[kg\]
-    pub fn body_mass(&self) -> &[f64] {
-        self.slice(self.raw().body_mass, self.raw().nbody)
-    }
-
-    /// Index of a joint's first position.
-    pub fn joint_position_index(&self, id: usize) -> usize {
-        self.slice(self.raw().jnt_qposadr, self.raw().njnt)[id] as usize
-    }
-
-    /// Index of a joint's first velocity.
-    pub fn joint_velocity_index(&self, id: usize) -> usize {
-        self.slice(self.raw().jnt_dofadr, self.raw().njnt)[id] as usize
-    }
-
-    /// Body that a joint moves.
-    pub fn joint_body(&self, id: usize) -> usize {
-        self.slice(self.raw().jnt_bodyid, self.raw().njnt)[id] as usize
-    }
-
-    /// Body of a site.
-    pub fn site_body(&self, id: usize) -> usize {
-        self.slice(self.raw().site_bodyid, self.raw().nsite)[id] as usize
-    }
-
-    /// Body to which a body is attached.
-    pub fn body_parent(&self, id: usize) -> usize {
-        self.slice(self.raw().body_parentid, self.raw().nbody)[id] as usize
-    }
-
-    /// Body of a geometry.
-    pub fn geom_body(&self, id: usize) -> usize {
-        self.slice(self.raw().geom_bodyid, self.raw().ngeom)[id] as usize
-    }
-
-    /// Lower and upper limit of a joint \[rad\].
-    pub fn joint_range(&self, id: usize) -> [f64; 2] {
-        row(self.slice(self.raw().jnt_range, 2 * self.raw().njnt), id)
-    }
-
-    /// True if a joint has limits.
-    pub fn joint_is_limited(&self, id: usize) -> bool {
-        self.slice::<u8>(self.raw().jnt_limited.cast(), self.raw().njnt)[id] != 0
-    }
-
-    /// Spring stiffness of a joint [N·m/rad].
-    pub fn joint_stiffness(&self, id: usize) -> f64 {
-        self.slice(self.raw().jnt_stiffness, self.raw().njnt)[id]
-    }
-
-    /// Moments of inertia about the principal axes of a body [kg·m²].
-    pub fn body_inertia(&self, id: usize) -> [f64; 3] {
-        row(self.slice(self.raw().body_inertia, 3 * self.raw().nbody), id)
-    }
-
-    /// Orientation of the principal axes in a body's frame (w, x, y, z).
-    pub fn body_inertia_quaternion(&self, id: usize) -> [f64; 4] {
-        row(self.slice(self.raw().body_iquat, 4 * self.raw().nbody), id)
-    }
-
-    /// Lower and upper limit of an actuator's control.
-    pub fn control_range(&self, id: usize) -> [f64; 2] {
-        row(self.slice(self.raw().actuator_ctrlrange, 2 * self.raw().nu), id)
-    }
-
-    /// Centre of mass of a body in its own frame \[m\].
-    pub fn body_centre_of_mass(&self, id: usize) -> [f64; 3] {
-        row(self.slice(self.raw().body_ipos, 3 * self.raw().nbody), id)
-    }
-
-    /// Origin of a body in the frame of the body above it \[m\].
-    pub fn body_position(&self, id: usize) -> [f64; 3] {
-        row(self.slice(self.raw().body_pos, 3 * self.raw().nbody), id)
-    }
-
-    /// Where a joint is, in its body's frame \[m\].
-    pub fn joint_anchor(&self, id: usize) -> [f64; 3] {
-        row(self.slice(self.raw().jnt_pos, 3 * self.raw().njnt), id)
-    }
-
-    /// The unit vector that a hinge turns about, in its body's frame.
-    pub fn joint_axis(&self, id: usize) -> [f64; 3] {
-        row(self.slice(self.raw().jnt_axis, 3 * self.raw().njnt), id)
-    }
-
-    /// Sizes of a site, as of a geometry of its shape \[m\].
-    pub fn site_size(&self, id: usize) -> [f64; 3] {
-        row(self.slice(self.raw().site_size, 3 * self.raw().nsite), id)
-    }
-
-    /// Where a site is, in its body's frame \[m\].
-    pub fn site_position(&self, id: usize) -> [f64; 3] {
-        row(self.slice(self.raw().site_pos, 3 * self.raw().nsite), id)
+    getters! {
+        /// Number of generalised positions.
+        fn nq(&self) -> usize = self.raw().nq as usize;
+        /// Number of generalised velocities.
+        fn nv(&self) -> usize = self.raw().nv as usize;
+        /// Number of actuators.
+        fn nu(&self) -> usize = self.raw().nu as usize;
+        /// Capacity of the contact buffer.
+        fn nconmax(&self) -> usize = self.raw().nconmax as usize;
+        /// Capacity of the constraint buffer \[rows\].
+        fn njmax(&self) -> usize = self.raw().njmax as usize;
+        /// Number of bodies that are moved from outside.
+        fn mocap_count(&self) -> usize = self.raw().nmocap as usize;
+        /// Viscous damping of every degree of freedom, shape (nv). [N·m·s/rad]
+        fn damping(&self) -> &[f64] = self.slice(self.raw().dof_damping, self.raw().nv);
+        /// Reflected rotor inertia of every degree of freedom, shape (nv). [kg·m²]
+        fn armature(&self) -> &[f64] = self.slice(self.raw().dof_armature, self.raw().nv);
+        /// Coulomb friction of every degree of freedom, shape (nv). [N·m]
+        fn friction_loss(&self) -> &[f64] = self.slice(self.raw().dof_frictionloss, self.raw().nv);
+        /// Positions that the file puts everything at, shape (nq).
+        fn rest_positions(&self) -> &[f64] = self.slice(self.raw().qpos0, self.raw().nq);
+        /// Mass of every body, shape (nbody). \[kg\]
+        fn body_mass(&self) -> &[f64] = self.slice(self.raw().body_mass, self.raw().nbody);
+        /// Index of a joint's first position.
+        fn joint_position_index(&self, id: usize) -> usize =
+            self.slice(self.raw().jnt_qposadr, self.raw().njnt)[id] as usize;
+        /// Index of a joint's first velocity.
+        fn joint_velocity_index(&self, id: usize) -> usize =
+            self.slice(self.raw().jnt_dofadr, self.raw().njnt)[id] as usize;
+        /// Body that a joint moves.
+        fn joint_body(&self, id: usize) -> usize = self.slice(self.raw().jnt_bodyid, self.raw().njnt)[id] as usize;
+        /// Body of a site.
+        fn site_body(&self, id: usize) -> usize = self.slice(self.raw().site_bodyid, self.raw().nsite)[id] as usize;
+        /// Body to which a body is attached.
+        fn body_parent(&self, id: usize) -> usize = self.slice(self.raw().body_parentid, self.raw().nbody)[id] as usize;
+        /// Body of a geometry.
+        fn geom_body(&self, id: usize) -> usize = self.slice(self.raw().geom_bodyid, self.raw().ngeom)[id] as usize;
+        /// Lower and upper limit of a joint \[rad\].
+        fn joint_range(&self, id: usize) -> [f64; 2] = self.row(self.raw().jnt_range, self.raw().njnt, id);
+        /// True if a joint has limits.
+        fn joint_is_limited(&self, id: usize) -> bool =
+            self.slice::<u8>(self.raw().jnt_limited.cast(), self.raw().njnt)[id] != 0;
+        /// Spring stiffness of a joint [N·m/rad].
+        fn joint_stiffness(&self, id: usize) -> f64 = self.slice(self.raw().jnt_stiffness, self.raw().njnt)[id];
+        /// Moments of inertia about the principal axes of a body [kg·m²].
+        fn body_inertia(&self, id: usize) -> [f64; 3] = self.row(self.raw().body_inertia, self.raw().nbody, id);
+        /// Orientation of the principal axes in a body's frame (w, x, y, z).
+        fn body_inertia_quaternion(&self, id: usize) -> [f64; 4] =
+            self.row(self.raw().body_iquat, self.raw().nbody, id);
+        /// Lower and upper limit of an actuator's control.
+        fn control_range(&self, id: usize) -> [f64; 2] = self.row(self.raw().actuator_ctrlrange, self.raw().nu, id);
+        /// Centre of mass of a body in its own frame \[m\].
+        fn body_centre_of_mass(&self, id: usize) -> [f64; 3] = self.row(self.raw().body_ipos, self.raw().nbody, id);
+        /// Origin of a body in the frame of the body above it \[m\].
+        fn body_position(&self, id: usize) -> [f64; 3] = self.row(self.raw().body_pos, self.raw().nbody, id);
+        /// Where a joint is, in its body's frame \[m\].
+        fn joint_anchor(&self, id: usize) -> [f64; 3] = self.row(self.raw().jnt_pos, self.raw().njnt, id);
+        /// The unit vector that a hinge turns about, in its body's frame.
+        fn joint_axis(&self, id: usize) -> [f64; 3] = self.row(self.raw().jnt_axis, self.raw().njnt, id);
+        /// Sizes of a site, as of a geometry of its shape \[m\].
+        fn site_size(&self, id: usize) -> [f64; 3] = self.row(self.raw().site_size, self.raw().nsite, id);
+        /// Where a site is, in its body's frame \[m\].
+        fn site_position(&self, id: usize) -> [f64; 3] = self.row(self.raw().site_pos, self.raw().nsite, id);
     }
 }
 
@@ -624,7 +544,7 @@ impl Model {
         let on_joint = self.slice(raw.actuator_trntype, count)[id] == sys::mjTRN_JOINT as i32;
         let target = self.slice(raw.actuator_trnid, 2 * count)[2 * id];
         let limits = |limited: *const u8, range: *const f64| {
-            (self.slice(limited, count)[id] != 0).then(|| row::<f64, 2>(self.slice(range, 2 * count), id))
+            (self.slice(limited, count)[id] != 0).then(|| self.row(range, count, id))
         };
         Actuator {
             joint: usize::try_from(target).ok().filter(|_| on_joint),
@@ -644,8 +564,8 @@ impl Model {
             conaffinity: self.slice(raw.geom_conaffinity, raw.ngeom)[id],
             condim: self.slice(raw.geom_condim, raw.ngeom)[id],
             priority: self.slice(raw.geom_priority, raw.ngeom)[id],
-            friction: row(self.slice(raw.geom_friction, 3 * raw.ngeom), id),
-            solimp: row(self.slice(raw.geom_solimp, i64::from(sys::mjNIMP) * i64::from(raw.ngeom)), id),
+            friction: self.row(raw.geom_friction, raw.ngeom, id),
+            solimp: self.row(raw.geom_solimp, raw.ngeom, id),
         }
     }
 
@@ -675,7 +595,7 @@ impl Model {
 
     /// Returns the rotation from a body's frame to its parent's frame.
     pub fn body_rotation(&self, body: usize) -> UnitQuaternion<f64> {
-        let [w, x, y, z] = row(self.slice(self.raw().body_quat, 4 * self.raw().nbody), body);
+        let [w, x, y, z] = self.row(self.raw().body_quat, self.raw().nbody, body);
         UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z))
     }
 
@@ -693,19 +613,19 @@ impl Model {
             sys::mjGEOM_BOX => GeomShape::Box,
             _ => GeomShape::Mesh(mesh),
         };
-        let mut rgba = row(self.slice(raw.geom_rgba, 4 * raw.ngeom), id);
+        let mut rgba = self.row(raw.geom_rgba, raw.ngeom, id);
         let material = self.slice(raw.geom_matid, raw.ngeom)[id];
         // MuJoCo's rule: the material's colour holds unless the geom sets its own.
         if material >= 0 && rgba == [0.5, 0.5, 0.5, 1.0] {
-            rgba = row(self.slice(raw.mat_rgba, 4 * raw.nmat), material as usize);
+            rgba = self.row(raw.mat_rgba, raw.nmat, material as usize);
         }
         Geom {
             name: self.name(Object::Geom, id).to_owned(),
             body: self.geom_body(id),
             shape,
-            size: row(self.slice(raw.geom_size, 3 * raw.ngeom), id),
-            position: row(self.slice(raw.geom_pos, 3 * raw.ngeom), id),
-            quaternion: row(self.slice(raw.geom_quat, 4 * raw.ngeom), id),
+            size: self.row(raw.geom_size, raw.ngeom, id),
+            position: self.row(raw.geom_pos, raw.ngeom, id),
+            quaternion: self.row(raw.geom_quat, raw.ngeom, id),
             rgba,
             group: self.slice(raw.geom_group, raw.ngeom)[id],
         }
@@ -731,7 +651,7 @@ impl Model {
         let raw = self.raw();
         let rows = self.slice(raw.hfield_nrow, raw.nhfield)[id] as usize;
         let columns = self.slice(raw.hfield_ncol, raw.nhfield)[id] as usize;
-        (rows, columns, row(self.slice(raw.hfield_size, 4 * raw.nhfield), id))
+        (rows, columns, self.row(raw.hfield_size, raw.nhfield, id))
     }
 
     /// Returns the elevations of a height field from 0 to 1, row-major, y rows by x columns.
@@ -763,6 +683,12 @@ impl Model {
         Ok(&self.slice(raw.numeric_data, raw.nnumericdata)[start..start + size])
     }
 
+    /// Returns a row of a model array, shape (count, N).
+    fn row<T: Copy, const N: usize>(&self, start: *const T, count: impl Into<i64>, id: usize) -> [T; N] {
+        let values = self.slice(start, N as i64 * count.into());
+        std::array::from_fn(|k| values[N * id + k])
+    }
+
     /// Borrows a model array as a slice. MuJoCo counts with 32 bits, later with 64.
     fn slice<T>(&self, start: *const T, length: impl Into<i64>) -> &[T] {
         let length = length.into();
@@ -783,10 +709,6 @@ impl Model {
         assert!(contacts as usize <= self.nconmax());
         self.raw_mut().nconmax = contacts.into();
     }
-}
-
-fn row<T: Copy, const N: usize>(values: &[T], index: usize) -> [T; N] {
-    std::array::from_fn(|k| values[N * index + k])
 }
 
 fn load(what: &str, file: &CStr, vfs: *const sys::mjVFS) -> Result<Model> {
