@@ -3,7 +3,7 @@
 use nalgebra::DMatrix;
 
 use super::{JOINTS, Joints, Robot, RobotError, joint_name};
-use crate::mujoco::{self, Data, Model, Object};
+use crate::mujoco::{Data, Model, Object};
 
 /// Returns the least inertia that any combination of the joints feels in a pose, with the trunk free and the feet in the air
 /// [kg·m²].
@@ -11,17 +11,16 @@ use crate::mujoco::{self, Data, Model, Object};
 /// # Errors
 /// MuJoCo fails.
 pub fn least_inertia(robot: &Robot, pose: &Joints) -> Result<f64, RobotError> {
-    let words = |error: mujoco::Error| RobotError::Engine(error.to_string());
-    let mut model = Model::from_xml(&[("robot.xml", robot.mjcf())]).map_err(words)?;
+    let mut model = Model::from_xml(&[("robot.xml", robot.mjcf())])?;
     model.set_gravity([0.0; 3]);
     let mut joints = [(0, 0); JOINTS];
     for (index, joint) in joints.iter_mut().enumerate() {
-        let id = model.id(Object::Joint, &format!("{}_joint", joint_name(index))).map_err(words)?;
+        let id = model.id(Object::Joint, &format!("{}_joint", joint_name(index)))?;
         *joint = (model.joint_position_index(id), model.joint_velocity_index(id));
     }
     let freedoms = model.nv();
     let mut inertia = DMatrix::from_diagonal(&model.armature().to_vec().into());
-    let mut data = Data::new(model).map_err(words)?;
+    let mut data = Data::new(model)?;
     data.positions_mut().copy_from_slice(&robot.stand);
     for ((position, _), angle) in joints.iter().zip(pose) {
         data.positions_mut()[*position] = *angle;
@@ -30,7 +29,7 @@ pub fn least_inertia(robot: &Robot, pose: &Joints) -> Result<f64, RobotError> {
     for column in 0..freedoms {
         data.accelerations_mut().fill(0.0);
         data.accelerations_mut()[column] = 1.0;
-        data.inverse_dynamics().map_err(words)?;
+        data.inverse_dynamics()?;
         for (row, force) in data.inverse_forces().iter().enumerate() {
             inertia[(row, column)] += force;
         }

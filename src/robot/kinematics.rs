@@ -152,15 +152,13 @@ impl Leg {
     /// Reads leg `leg` of a model with our names.
     pub(super) fn of(model: &Model, leg: usize) -> Result<Self, RobotError> {
         let name = LEGS[leg];
-        let words = |error: mujoco::Error| RobotError::Engine(error.to_string());
-        let id = |kind, name: String| model.id(kind, &name).map_err(words);
-        let trunk = id(Object::Body, "trunk".into())?;
+        let trunk = model.id(Object::Body, "trunk")?;
         // Place and orientation of the frame walked so far.
         let (mut place, mut turn) = (Vector3::zeros(), UnitQuaternion::identity());
         let (mut links, mut axes, mut zero) = (Vec::new(), Vec::new(), [0.0; 3]);
         let mut above = trunk;
         for (part, zero) in PARTS.iter().zip(&mut zero) {
-            let joint = id(Object::Joint, format!("{name}_{part}_joint"))?;
+            let joint = model.id(Object::Joint, &format!("{name}_{part}_joint"))?;
             walk(model, above, model.joint_body(joint), &mut place, &mut turn);
             above = model.joint_body(joint);
             let anchor = turn * Vector3::from(model.joint_anchor(joint));
@@ -170,7 +168,7 @@ impl Leg {
             axes.push(turn * Vector3::from(model.joint_axis(joint)));
             *zero = model.rest_positions()[model.joint_position_index(joint)];
         }
-        let foot = FootSphere::new(model, leg).map_err(words)?;
+        let foot = FootSphere::new(model, leg)?;
         walk(model, above, foot.body, &mut place, &mut turn);
         let along = axes[1].dot(&axes[2]);
         if axes[1].cross(&axes[2]).norm() > PARALLEL {

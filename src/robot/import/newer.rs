@@ -15,6 +15,7 @@ use nalgebra::{Isometry3, Matrix3, Point3, Quaternion, Rotation3, UnitQuaternion
 use super::source::{Files, described};
 use super::words::{LEFT_OUT_SECTIONS, Verdict, is_actuator, is_known_law, is_newer_actuator, since, verdict};
 use crate::robot::error::{RobotError, SAVE_AGAIN};
+use crate::util::numbers::spaced;
 use crate::util::xml::Element;
 
 /// Class without settings, for elements whose settings are all written out.
@@ -368,14 +369,14 @@ impl Translator<'_> {
             "joint" => {
                 let place = self.numbers(&of, "pos")?.unwrap_or([0.0; 3]);
                 let axis = self.numbers(&of, "axis")?.unwrap_or([0.0, 0.0, 1.0]);
-                own.set("pos", list(&(frame.pose * Point3::from(place)).coords.into()));
-                own.set("axis", list(&(frame.pose.rotation * Vector3::from(axis)).into()));
+                own.set("pos", spaced((frame.pose * Point3::from(place)).coords.as_slice()));
+                own.set("axis", spaced((frame.pose.rotation * Vector3::from(axis)).as_slice()));
             }
             _ => {
                 if let Some(ends) = self.numbers::<6>(&of, "fromto")? {
                     let end = |at: usize| {
                         let end = Point3::new(ends[at], ends[at + 1], ends[at + 2]);
-                        list(&(frame.pose * end).coords.into())
+                        spaced((frame.pose * end).coords.as_slice())
                     };
                     own.set("fromto", format!("{} {}", end(0), end(3)));
                 } else if let Some(full) = self.numbers::<6>(&of, "fullinertia")? {
@@ -383,8 +384,8 @@ impl Translator<'_> {
                     let turn = frame.pose.rotation.to_rotation_matrix();
                     let full = turn * Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz) * turn.transpose();
                     let full = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)].map(|at| full[at]);
-                    own.set("pos", list(&(frame.pose * self.pose(&of)?).translation.vector.into()));
-                    own.set("fullinertia", full.map(|number| number.to_string()).join(" "));
+                    own.set("pos", spaced((frame.pose * self.pose(&of)?).translation.vector.as_slice()));
+                    own.set("fullinertia", spaced(&full));
                 } else {
                     write_pose(&(frame.pose * self.pose(&of)?), &mut own);
                 }
@@ -607,9 +608,9 @@ impl Translator<'_> {
 /// Writes a pose into an element.
 fn write_pose(pose: &Isometry3<f64>, element: &mut Element) {
     ["axisangle", "xyaxes", "zaxis", "euler"].iter().for_each(|name| element.remove(name));
-    element.set("pos", list(&pose.translation.vector.into()));
+    element.set("pos", spaced(pose.translation.vector.as_slice()));
     let turn = pose.rotation;
-    element.set("quat", [turn.w, turn.i, turn.j, turn.k].map(|number| number.to_string()).join(" "));
+    element.set("quat", spaced(&[turn.w, turn.i, turn.j, turn.k]));
 }
 
 /// Returns true if a body without `<inertial>` has its mass from a mesh.
@@ -652,8 +653,4 @@ pub(super) fn euler(angles: &str, sequence: &str) -> Option<UnitQuaternion<f64>>
 
 fn words(text: &str) -> Vec<&str> {
     text.split_whitespace().collect()
-}
-
-fn list(numbers: &[f64; 3]) -> String {
-    numbers.map(|number| number.to_string()).join(" ")
 }

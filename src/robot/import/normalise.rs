@@ -11,11 +11,11 @@ use super::newer::{self, Translated};
 use super::source::{Files, Source};
 use super::torque::torque_limits;
 use super::urdf;
-use crate::mujoco::{self, Data, GeomContact, GeomShape, Model, Object};
+use crate::mujoco::{Data, GeomContact, GeomShape, Model, Object};
 use crate::robot::error::RobotError;
 use crate::robot::kinematics::{Leg, bent_pose};
 use crate::robot::{HARNESS, JOINTS, Joints, LEGS, PARTS, joint_name, limits, sole_name};
-use crate::util::numbers::short;
+use crate::util::numbers::{short, spaced};
 use crate::util::xml::Element;
 
 /// Class that takes over the file's top-level defaults, because a robot must not change those of a scene.
@@ -241,13 +241,12 @@ impl<'a> Survey<'a> {
         let mut id = self.trunk;
         self.change(&mut trunk, &mut id, start)?;
         // Where ropes are tied to.
-        let centre = self.model.body_centre_of_mass(self.trunk).map(|value| value.to_string()).join(" ");
+        let centre = spaced(&self.model.body_centre_of_mass(self.trunk));
         trunk.children.push(Element::new("site").with("name", HARNESS).with("pos", centre).with("group", 4));
         root.children.push(Element { children: vec![trunk], ..Element::new("worldbody") });
         root.children.push(self.motors());
-        let numbers = |values: &[f64]| values.iter().map(f64::to_string).collect::<Vec<_>>().join(" ");
         let numeric =
-            |name: &str, values: &[f64]| Element::new("numeric").with("name", name).with("data", numbers(values));
+            |name: &str, values: &[f64]| Element::new("numeric").with("name", name).with("data", spaced(values));
         let mut custom = Element::new("custom");
         custom.children.push(numeric("stand_qpos", &start.positions));
         if let (None, Ok(pose)) = (description.pose, self.model.numeric("nominal_pose")) {
@@ -302,7 +301,7 @@ impl<'a> Survey<'a> {
             if self.model.geom_body(*foot) == own && self.model.geom(*foot).shape != GeomShape::Sphere {
                 let Sole { centre, radius } = start.soles[leg];
                 let site = Element::new("site").with("name", sole_name(leg)).with("type", "sphere");
-                let site = site.with("size", radius).with("pos", centre.map(|value| value.to_string()).join(" "));
+                let site = site.with("size", radius).with("pos", spaced(&centre));
                 body.children.push(site.with("group", 4));
             }
         }
@@ -314,12 +313,11 @@ impl<'a> Survey<'a> {
 
     /// Returns the mass and inertia that MuJoCo has found for a body.
     fn inertial(&self, body: usize) -> Element {
-        let numbers = |values: &[f64]| values.iter().map(f64::to_string).collect::<Vec<_>>().join(" ");
         Element::new("inertial")
-            .with("pos", numbers(&self.model.body_centre_of_mass(body)))
-            .with("quat", numbers(&self.model.body_inertia_quaternion(body)))
+            .with("pos", spaced(&self.model.body_centre_of_mass(body)))
+            .with("quat", spaced(&self.model.body_inertia_quaternion(body)))
             .with("mass", self.model.body_mass()[body])
-            .with("diaginertia", numbers(&self.model.body_inertia(body)))
+            .with("diaginertia", spaced(&self.model.body_inertia(body)))
     }
 
     fn change_joint(&self, joint: &mut Element) {
@@ -390,18 +388,17 @@ impl<'a> Survey<'a> {
 
     /// Returns the robot level at 1 m in a pose.
     fn placed(&self, pose: &Joints) -> Result<Data, RobotError> {
-        let fail = |error: mujoco::Error| RobotError::Engine(error.to_string());
-        let model = self.model.try_clone().map_err(fail)?;
+        let model = self.model.try_clone()?;
         let root = (0..model.count(Object::Joint)).find(|joint| model.joint_body(*joint) == self.trunk).unwrap_or(0);
         let base = model.joint_position_index(root);
         let places = self.joints.map(|joint| model.joint_position_index(joint));
-        let mut data = Data::new(model).map_err(fail)?;
+        let mut data = Data::new(model)?;
         let positions = data.positions_mut();
         positions[base..base + 7].copy_from_slice(&[0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0]);
         for (place, angle) in places.iter().zip(pose) {
             positions[*place] = *angle;
         }
-        data.step1().map_err(fail)?;
+        data.step1()?;
         Ok(data)
     }
 
