@@ -406,15 +406,13 @@ fn block_infos(layout: &Layout) -> Vec<BlockInfo> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::policy::onnx::OnnxNetwork;
 
-    fn policy() -> Policy {
-        let config = Config::load("compliant").unwrap();
-        let mut rng = stream(5, Purpose::Weights, 0, 0);
+    /// A policy on the Go1 that was not trained.
+    pub(in crate::policy) fn untrained(network: &ActorCritic, config: Config) -> Policy {
         let layout = config.layout().unwrap();
-        let network = ActorCritic::orthogonal(layout.length(), &[32, 16], JOINTS, -1.0, &mut rng);
         let provenance = Provenance {
             config_name: "compliant".into(),
             config,
@@ -423,7 +421,14 @@ mod tests {
             git_revision: "test".into(),
             mujoco_version: "2.2.2".into(),
         };
-        Policy::new(&network, &Robot::load("go1").unwrap(), layout, provenance)
+        Policy::new(network, &Robot::load("go1").unwrap(), layout, provenance)
+    }
+
+    fn policy() -> Policy {
+        let config = Config::load("compliant").unwrap();
+        let mut rng = stream(5, Purpose::Weights, 0, 0);
+        let inputs = config.layout().unwrap().length();
+        untrained(&ActorCritic::orthogonal(inputs, &[32, 16], JOINTS, -1.0, &mut rng), config)
     }
 
     #[test]

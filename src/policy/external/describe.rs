@@ -146,8 +146,9 @@ mod tests {
     use super::*;
     use crate::network::ActorCritic;
     use crate::observation::Command;
+    use crate::policy::file::tests::untrained;
     use crate::policy::{Agent, Controller as _, onnx};
-    use crate::robot::{JOINTS, Robot, RobotState};
+    use crate::robot::{JOINTS, RobotState};
     use crate::util::random::{Purpose, stream};
 
     #[test]
@@ -164,20 +165,12 @@ mod tests {
     }
 
     fn assert_exported_acts_as_its_policy(config: Config) {
-        let layout = config.layout().unwrap();
+        let inputs = config.layout().unwrap().length();
         let mut rng = stream(3, Purpose::Weights, 0, 0);
-        let mut network = ActorCritic::orthogonal(layout.length(), &[16], JOINTS, -1.0, &mut rng);
+        let mut network = ActorCritic::orthogonal(inputs, &[16], JOINTS, -1.0, &mut rng);
         // Else its outputs are next to nothing.
         network.policy.layers.iter_mut().flat_map(|layer| &mut layer.weight).for_each(|weight| *weight *= 3.0);
-        let provenance = Provenance {
-            config_name: "compliant".into(),
-            config,
-            seed: 3,
-            samples: 0,
-            git_revision: "test".into(),
-            mujoco_version: "2.2.2".into(),
-        };
-        let policy = Policy::new(&network, &Robot::load("go1").unwrap(), layout, provenance);
+        let policy = untrained(&network, config);
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join("p.onnx"), onnx::export(&policy)).unwrap();
         std::fs::write(folder.path().join("p.yaml"), describe(&policy, "p.onnx")).unwrap();
