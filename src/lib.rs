@@ -11,7 +11,7 @@ read the code, follow the data:
 6. [`scenario`] and [`estimate`]: disturbances of a policy that acts on the true state or on its sensors, and their
    [`trace`](scenario::trace), which the packages `supple-evaluate` and `supple-record` read.
 
-[`util`] contains helpers for all of them.
+[`provenance`] names the versions of program and MuJoCo; [`util`] contains helpers for all of them.
 */
 
 pub mod config;
@@ -22,6 +22,7 @@ pub mod network;
 pub mod observation;
 pub mod policy;
 pub mod ppo;
+pub mod provenance;
 pub mod ranks;
 pub mod robot;
 pub mod scenario;

@@ -1,7 +1,7 @@
 //! Where and when a run took place, and how alone it was.
 
 use serde::Serialize;
-use supple::util::provenance::{git_revision, mujoco_version};
+use supple::provenance::{git_revision, mujoco_version};
 
 use crate::stopwatch::Effort;
 

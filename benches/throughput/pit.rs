@@ -109,8 +109,8 @@ fn standing(config: &Config) -> anyhow::Result<Policy> {
         config: config.clone(),
         seed: 0,
         samples: 0,
-        git_revision: supple::util::provenance::git_revision().into(),
-        mujoco_version: supple::util::provenance::mujoco_version().into(),
+        git_revision: supple::provenance::git_revision().into(),
+        mujoco_version: supple::provenance::mujoco_version().into(),
     };
     Ok(Policy::new(&network.zeros_like(), &robot, layout, provenance))
 }

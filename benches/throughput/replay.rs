@@ -13,7 +13,7 @@ use rand_distr::StandardNormal;
 use serde::Deserialize;
 use supple::config::Config;
 use supple::mujoco::Data;
-use supple::policy::{Buffers, Policy};
+use supple::policy::{InferenceBuffers, Policy};
 use supple::robot::{JOINTS, Joints, PARTS, Robot};
 use supple::sim::{Conditions, Parts, Scene, Sim, StepObserver};
 use supple::task::Stages;
@@ -78,7 +78,7 @@ impl Replay {
         let scene = Scene::flat(Robot::load(&config.robot.model)?, config.simulation.timestep_s());
         let mut twin = Sim::new(&scene, &config.simulation, config.episode.min_height_m)?;
         let recovery_start = Stages::new(&config.episode, &config.simulation).recovery_start;
-        let mut driver = Driver { config, policy, index, buffers: Buffers::default() };
+        let mut driver = Driver { config, policy, index, buffers: InferenceBuffers::default() };
         let mut tape = Tape::default();
         let (mut env_start, mut starts, mut actions) = (env.save(), Vec::new(), Vec::new());
         // Policy steps since the episode began.
@@ -201,7 +201,7 @@ struct Driver<'a> {
     config: &'a Config,
     policy: Option<&'a Policy>,
     index: u64,
-    buffers: Buffers,
+    buffers: InferenceBuffers,
 }
 
 impl Driver<'_> {

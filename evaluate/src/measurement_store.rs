@@ -19,9 +19,9 @@ use super::policy_sets::SetMember;
 use super::results::PolicyResult;
 use super::{Condition, Experiment};
 use supple::estimate::{EstimatorConfig, SensorNoise, contact};
+use supple::provenance::{mujoco_version, revision_and_mujoco};
 use supple::scenario::Sensing;
 use supple::util::files::{self, FileError};
-use supple::util::provenance::{mujoco_version, revision_and_mujoco};
 
 /// Name of the file type in error messages.
 const RESULTS: &str = "results";

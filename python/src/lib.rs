@@ -36,7 +36,7 @@ mod _supple {
         module.add("__version__", env!("CARGO_PKG_VERSION"))?;
         module.add("RECORDS", cfg!(feature = "record"))?;
         supple::announce_revision!();
-        module.add("REVISION", supple::util::provenance::git_revision())?;
+        module.add("REVISION", supple::provenance::git_revision())?;
         module.add("CONFIGURATIONS", supple::config::EMBEDDED.iter().map(|(name, _)| *name).collect::<Vec<_>>())?;
         module.add("POLICIES", supple::policy::shipped::EMBEDDED.iter().map(|(name, _)| *name).collect::<Vec<_>>())
     }

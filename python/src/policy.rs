@@ -8,7 +8,7 @@ use numpy::{
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use supple::config::Config;
-use supple::policy::{Agent, Buffers, Inference, Meaning, Network, external, shipped};
+use supple::policy::{Agent, Inference, InferenceBuffers, Meaning, Network, external, shipped};
 use supple::robot::{JOINTS, joint_name, joint_names};
 
 use crate::failure::{apart, refused};
@@ -58,7 +58,7 @@ impl Policy {
     ) -> PyResult<Bound<'py, PyArray2<f32>>> {
         let (inference, rows) = (self.agent.inference(), observations.shape()[0]);
         let seen = observations.as_slice()?.to_vec();
-        let actions = apart(py, || Ok(inference.actions(rows, &seen, &mut Buffers::default())))?;
+        let actions = apart(py, || Ok(inference.actions(rows, &seen, &mut InferenceBuffers::default())))?;
         self.check()?;
         if let Some(at) = actions.iter().position(|action| !action.is_finite()) {
             let (name, row, joint) = (&self.name, at / JOINTS, joint_name(inference.layout.order()[at % JOINTS]));

@@ -11,7 +11,7 @@ use rerun::{Boxes3D, Capsules3D, Color, Cylinders3D, Ellipsoids3D, EntityPath, F
 use super::RecordError;
 use super::stream::Stream;
 use super::style::Rgb;
-use supple::mujoco::{Geom, Kind, Model, Shape};
+use supple::mujoco::{Geom, GeomShape, Model, Object};
 
 /// Visual groups that are drawn: looks, feet, obstacles. Group 3 contains collision geometries.
 const DRAWN_GROUPS: std::ops::RangeInclusive<i32> = 0..=2;
@@ -38,14 +38,14 @@ pub(super) fn log_model(
     model: &Model,
     tint: Option<Rgb>,
 ) -> Result<Parts, RecordError> {
-    let trunk = model.id(Kind::Body, "trunk")?;
-    let geoms: Vec<Geom> = (0..model.count(Kind::Geom)).map(|id| model.geom(id)).collect();
-    let count = model.count(Kind::Body);
+    let trunk = model.id(Object::Body, "trunk")?;
+    let geoms: Vec<Geom> = (0..model.count(Object::Geom)).map(|id| model.geom(id)).collect();
+    let count = model.count(Object::Body);
     let is_robot: Vec<bool> = (0..count).map(|body| model.is_below(body, trunk)).collect();
     let looks: Vec<Vec<&Geom>> = (0..count).map(|body| looks_of(body, &geoms)).collect();
 
     let is_ball = |&body: &usize| {
-        let alone = matches!(looks[body][..], [geom] if geom.shape == Shape::Sphere && geom.position == [0.0; 3]);
+        let alone = matches!(looks[body][..], [geom] if geom.shape == GeomShape::Sphere && geom.position == [0.0; 3]);
         alone && !is_robot[body] && model.body_parent(body) == 0
     };
     let mut balls: Vec<usize> = (1..count).filter(is_ball).collect();
@@ -57,7 +57,7 @@ pub(super) fn log_model(
     for body in (0..count).filter(|body| !balls.contains(body)) {
         let solid = |geom: &&Geom| Solid::new(geom, colour(geom.rgba, tint.filter(|_| is_robot[body])));
         let solids: Vec<Solid> = looks[body].iter().map(solid).collect();
-        let path = match (body, model.name(Kind::Body, body)) {
+        let path = match (body, model.name(Object::Body, body)) {
             (0, _) => child(&scene_path(root), "fixed"),
             (_, "") => child(root, &format!("body {body}")),
             (_, name) => child(root, name),
@@ -89,10 +89,11 @@ pub(super) fn balls_path(root: &EntityPath) -> EntityPath {
 
 /// Returns true if the scene has more than the robot and the ground.
 pub(super) fn has_obstacles(model: &Model) -> Result<bool, RecordError> {
-    let trunk = model.id(Kind::Body, "trunk")?;
-    let is_obstacle =
-        |geom: Geom| !matches!(geom.shape, Shape::Plane | Shape::HeightField(_)) && !model.is_below(geom.body, trunk);
-    Ok((0..model.count(Kind::Geom)).any(|id| is_obstacle(model.geom(id))))
+    let trunk = model.id(Object::Body, "trunk")?;
+    let is_obstacle = |geom: Geom| {
+        !matches!(geom.shape, GeomShape::Plane | GeomShape::HeightField(_)) && !model.is_below(geom.body, trunk)
+    };
+    Ok((0..model.count(Object::Geom)).any(|id| is_obstacle(model.geom(id))))
 }
 
 /// Returns the path of an entity below another one; its name may contain any character.
@@ -103,7 +104,7 @@ pub(super) fn child(parent: &EntityPath, name: &str) -> EntityPath {
 /// Returns the drawn geometries of a body: its visual ones, or the collision geometries if it has no visual ones.
 fn looks_of(body: usize, geoms: &[Geom]) -> Vec<&Geom> {
     let solid = |geom: &&Geom| {
-        let flat = matches!(geom.shape, Shape::Plane | Shape::HeightField(_) | Shape::Mesh(_));
+        let flat = matches!(geom.shape, GeomShape::Plane | GeomShape::HeightField(_) | GeomShape::Mesh(_));
         geom.body == body && !flat && geom.rgba[3] > 0.0
     };
     let (shown, hidden): (Vec<&Geom>, Vec<&Geom>) =
@@ -114,10 +115,10 @@ fn looks_of(body: usize, geoms: &[Geom]) -> Vec<&Geom> {
 /// Returns the colour and opacity of every geometry in pictures, 0 to 1; `None` for those that are not drawn.
 #[cfg(feature = "video")]
 pub(super) fn colours(model: &Model, tint: Option<Rgb>) -> supple::mujoco::Result<Vec<Option<[f32; 4]>>> {
-    let trunk = model.id(Kind::Body, "trunk")?;
-    let geoms: Vec<Geom> = (0..model.count(Kind::Geom)).map(|id| model.geom(id)).collect();
+    let trunk = model.id(Object::Body, "trunk")?;
+    let geoms: Vec<Geom> = (0..model.count(Object::Geom)).map(|id| model.geom(id)).collect();
     let rgba = |geom: &Geom| {
-        if matches!(geom.shape, Shape::Plane | Shape::HeightField(_)) {
+        if matches!(geom.shape, GeomShape::Plane | GeomShape::HeightField(_)) {
             return Some(geom.rgba);
         }
         looks_of(geom.body, &geoms).into_iter().find(|drawn| std::ptr::eq(*drawn, geom))?;
@@ -140,9 +141,9 @@ fn colour([red, green, blue, alpha]: [f32; 4], tint: Option<Rgb>) -> Color {
     Color::from_unmultiplied_rgba(byte(red), byte(green), byte(blue), byte(alpha))
 }
 
-/// A geometry in rerun's conventions; the sizes are MuJoCo's, see [`Shape`] \[m\].
+/// A geometry in rerun's conventions; the sizes are MuJoCo's, see [`GeomShape`] \[m\].
 struct Solid {
-    shape: Shape,
+    shape: GeomShape,
     size: [f32; 3],
     position: [f32; 3],
     quaternion: Quaternion,
@@ -155,8 +156,8 @@ impl Solid {
         let mut position = geom.position.map(|x| x as f32);
         let [w, x, y, z] = geom.quaternion.map(|x| x as f32);
         match geom.shape {
-            Shape::Sphere => size = [size[0]; 3],
-            Shape::Capsule => position = capsule_start(size[1], position, [w, x, y, z]),
+            GeomShape::Sphere => size = [size[0]; 3],
+            GeomShape::Capsule => position = capsule_start(size[1], position, [w, x, y, z]),
             // Grounds are drawn by `ground`; `looks_of` leaves out the rest.
             _ => {}
         }
@@ -180,10 +181,18 @@ fn log_solids(stream: &Stream, path: &EntityPath, solids: &[Solid]) -> Result<()
             }
         };
     }
-    log!(Shape::Box, with_centers, |batch| Boxes3D::from_half_sizes(half_sizes(&batch)));
-    log!(Shape::Capsule, with_translations, |batch| Capsules3D::from_lengths_and_radii(lengths(&batch), radii(&batch)));
-    log!(Shape::Cylinder, with_centers, |batch| Cylinders3D::from_lengths_and_radii(lengths(&batch), radii(&batch)));
-    log!(Shape::Sphere | Shape::Ellipsoid, with_centers, |batch| Ellipsoids3D::from_half_sizes(half_sizes(&batch)));
+    log!(GeomShape::Box, with_centers, |batch| Boxes3D::from_half_sizes(half_sizes(&batch)));
+    log!(GeomShape::Capsule, with_translations, |batch| Capsules3D::from_lengths_and_radii(
+        lengths(&batch),
+        radii(&batch)
+    ));
+    log!(GeomShape::Cylinder, with_centers, |batch| Cylinders3D::from_lengths_and_radii(
+        lengths(&batch),
+        radii(&batch)
+    ));
+    log!(GeomShape::Sphere | GeomShape::Ellipsoid, with_centers, |batch| Ellipsoids3D::from_half_sizes(half_sizes(
+        &batch
+    )));
     Ok(())
 }
 

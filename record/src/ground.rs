@@ -12,7 +12,7 @@ use super::RecordError;
 use super::geometry::{child, scene_path};
 use super::stream::Stream;
 use super::style::{BACKGROUND, Rgb};
-use supple::mujoco::{Geom, Kind, Model, Shape};
+use supple::mujoco::{Geom, GeomShape, Model, Object};
 use supple::sim::{Ground, Patches};
 
 /// Edge of a square of the pattern \[m\].
@@ -49,15 +49,15 @@ pub(super) fn log_grounds(
     ground: &Ground,
 ) -> Result<Vec<Patch>, RecordError> {
     let mut patches = Vec::new();
-    for geom in (0..model.count(Kind::Geom)).map(|id| model.geom(id)) {
+    for geom in (0..model.count(Object::Geom)).map(|id| model.geom(id)) {
         let name = if geom.name.is_empty() { "ground" } else { &geom.name };
         let path = child(&scene_path(root), name);
         match geom.shape {
-            Shape::Plane => {
+            GeomShape::Plane => {
                 stream.log_static(&path, &patch_mesh(geom.position[2] as f32))?;
                 patches.push(Patch { path, cell: None });
             }
-            Shape::HeightField(id) => stream.log_static(&path, &field_mesh(model, &geom, id, ground.patches()))?,
+            GeomShape::HeightField(id) => stream.log_static(&path, &field_mesh(model, &geom, id, ground.patches()))?,
             _ => {}
         }
     }

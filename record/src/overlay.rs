@@ -13,7 +13,7 @@ use super::geometry::child;
 use super::marks::{self, Arrow};
 use super::stream::Stream;
 use super::style::*;
-use supple::scenario::trace::{Event, EventKind, Frame, Mark};
+use supple::scenario::trace::{DisturbanceMark, Event, EventKind, Frame};
 use supple::sim::Ground;
 
 /// Interval \[s\] and number of points of the trunk's trail.
@@ -214,7 +214,7 @@ impl Overlay {
     fn log_disturbance(&mut self, stream: &Stream, frame: &Frame, trunk: [f32; 3]) -> Result<(), RecordError> {
         let trunk = trunk.map(f64::from);
         let path = self.entity("push");
-        if let Some(Mark::Push { velocity }) = frame.mark {
+        if let Some(DisturbanceMark::Push { velocity }) = frame.mark {
             self.push = Some((frame.time_s + PUSH_SHOWN_S, velocity));
         }
         match self.push {
@@ -229,7 +229,7 @@ impl Overlay {
         }
         let (rope, pull) = (self.entity("rope"), self.entity("pull"));
         match frame.mark {
-            Some(Mark::Rope { force }) => {
+            Some(DisturbanceMark::Rope { force }) => {
                 let arrow = marks::pull(trunk, force, METRES_PER_NEWTON);
                 let strip = LineStrips3D::new([[trunk, arrow.0].map(|point| point.map(|x| x as f32))])
                     .with_radii([Radius::new_scene_units(0.005)])
@@ -238,7 +238,7 @@ impl Overlay {
                 stream.log(&pull, &arrows(&[arrow], 0.012, VERMILLION))?;
                 self.is_pulled = true;
             }
-            Some(Mark::Press { force }) => {
+            Some(DisturbanceMark::Press { force }) => {
                 stream.log(&pull, &arrows(&[marks::press(trunk, force)], 0.012, VERMILLION))?;
                 self.is_pulled = true;
             }

@@ -13,7 +13,7 @@ use super::plots::{self, Shown};
 use super::stream::Stream;
 use super::style::{BLUE, CAMERA_LAG_S, EYE_DISTANCE_M};
 use super::{RecordError, RobotView};
-use supple::mujoco::Kind;
+use supple::mujoco::Object;
 use supple::scenario::trace::{Event, EventKind, Frame, Pose};
 use supple::task::Stage;
 
@@ -60,7 +60,7 @@ impl Robot {
             name: view.name.to_owned(),
             is_first,
             shown,
-            body_count: model.count(Kind::Body),
+            body_count: model.count(Object::Body),
             last_poses: vec![None; parts.bodies.len()],
             last_balls: vec![[f32::NAN; 3]; parts.balls.len()],
             frames: 0,

@@ -12,7 +12,7 @@ use rerun::{ChunkStore, ChunkStoreConfig, StoreKind};
 use super::*;
 use supple::mujoco::Data;
 use supple::robot::Robot;
-use supple::scenario::trace::{EventKind, Mark, Pose, Rope, Sensed};
+use supple::scenario::trace::{DisturbanceMark, EventKind, Pose, Rope, Sensed};
 use supple::sim::{Buffers, Ground, HeightField, Scene};
 use supple::task::{Command, Stage};
 
@@ -113,8 +113,8 @@ fn a_recording_has_every_entity_that_its_layout_names() {
             let mut frame = frame(model, f64::from(step) / 60.0);
             frame.sensed = Some(Sensed::default());
             frame.mark = match step {
-                3 => Some(Mark::Push { velocity: [0.0, 1.0, 0.0] }),
-                20..30 => Some(Mark::Rope { force: [0.0, 50.0, 0.0] }),
+                3 => Some(DisturbanceMark::Push { velocity: [0.0, 1.0, 0.0] }),
+                20..30 => Some(DisturbanceMark::Rope { force: [0.0, 50.0, 0.0] }),
                 _ => None,
             };
             // A rope that is tied in between, and is taken off.
@@ -233,8 +233,8 @@ fn live_recording_stays_as_large_as_it_began() {
         // Everything moves, and is pushed and pulled now and then.
         frame.bodies.iter_mut().for_each(|pose| pose.position[0] += 0.1 * f32::from(step));
         frame.mark = match step % 60 {
-            3 => Some(Mark::Push { velocity: [0.0, 1.0, 0.0] }),
-            20..30 => Some(Mark::Rope { force: [0.0, 50.0, 0.0] }),
+            3 => Some(DisturbanceMark::Push { velocity: [0.0, 1.0, 0.0] }),
+            20..30 => Some(DisturbanceMark::Rope { force: [0.0, 50.0, 0.0] }),
             _ => None,
         };
         recorder.frame(0, &frame).unwrap();

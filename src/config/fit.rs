@@ -28,7 +28,7 @@ latency and the policy's rate stay.
 use std::path::Path;
 
 use super::{Config, LegPose, Simulation, robot_in};
-use crate::robot::{JOINTS, Joints, Robot, joint_name};
+use crate::robot::{JOINTS, Joints, Robot, joint_name, least_inertia};
 use crate::util::files::FileError;
 use crate::util::numbers::maximum;
 
@@ -94,7 +94,7 @@ impl Config {
             scale(&mut held_feet.force_n, mass);
             scale(&mut held_feet.stiffness_n_per_m, mass / height);
         }
-        let inertia = robot.least_inertia(&pose).map_err(FileError::of("robot", path))?;
+        let inertia = least_inertia(robot, &pose).map_err(FileError::of("robot", path))?;
         config.simulation.hold_gains(inertia).map_err(fail)?;
         config.ppo.initial_log_std = maximum(config.ppo.initial_log_std, -0.5);
         if let Some(fallen) = robot.fall_height_m {

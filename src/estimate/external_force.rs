@@ -46,7 +46,7 @@ use nalgebra::{Matrix3, SymmetricEigen, UnitQuaternion, Vector3};
 
 use super::SensorFault;
 use super::sensors::{EncoderReading, ImuReading, finite};
-use crate::mujoco::{self, Data, Kind, Model};
+use crate::mujoco::{self, Data, Model, Object};
 use crate::robot::{FootSphere, GRAVITY_M_S2, JOINTS, Joints, PARTS, Robot, joint_name};
 
 /// Time constant of the low-pass \[s\].
@@ -210,20 +210,20 @@ impl ForceObserver {
         model.set_gravity([0.0; 3]);
         let mut joints = [JointPlace::default(); JOINTS];
         for (index, place) in joints.iter_mut().enumerate() {
-            let joint = model.id(Kind::Joint, &format!("{}_joint", joint_name(index)))?;
+            let joint = model.id(Object::Joint, &format!("{}_joint", joint_name(index)))?;
             model.set_losses(joint, robot.losses.friction_n_m, robot.losses.damping_n_m_s_per_rad);
             let (position, velocity) = (model.joint_position_index(joint), model.joint_velocity_index(joint));
             *place = JointPlace { joint, position, velocity };
         }
         let foot = |leg| FootSphere::new(&model, leg);
         let feet = [foot(0)?, foot(1)?, foot(2)?, foot(3)?];
-        let root = model.id(Kind::Joint, "root")?;
+        let root = model.id(Object::Joint, "root")?;
         let weight_n = robot.mass_kg * GRAVITY_M_S2;
         Ok(ForceObserver {
             limit_n: LIMIT_WEIGHTS * weight_n,
             weight_n,
             imu_in_base: robot.imu_in_base,
-            centre: model.body_centre_of_mass(model.id(Kind::Body, "trunk")?).into(),
+            centre: model.body_centre_of_mass(model.id(Object::Body, "trunk")?).into(),
             root: [model.joint_position_index(root), model.joint_velocity_index(root)],
             joints,
             limits: robot.joint_limits,

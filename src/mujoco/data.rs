@@ -4,9 +4,9 @@ use std::ptr::NonNull;
 
 use mujoco_sys as sys;
 
-use super::error::{Buffer, Error, Result, StateKind};
-use super::model::{Inertial, Kind, Model};
-use super::{EMPTY_MESSAGE, Message, check};
+use super::error::{BufferKind, Error, Result, StateKind};
+use super::model::{Inertial, Model, Object};
+use super::{EMPTY_MESSAGE, check};
 
 /// A contact point found by MuJoCo's last position stage.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -47,114 +47,53 @@ impl Drop for Data {
 
 /// The fields of mjData as slices.
 impl Data {
-    /// Generalised positions, shape (nq). A free joint's are position (world) \[m\] and quaternion (w, x, y, z).
-    pub fn positions(&self) -> &[f64] {
-        self.slice(self.raw().qpos, self.model.nq())
-    }
-
-    /// [`Data::positions`], writable.
-    pub fn positions_mut(&mut self) -> &mut [f64] {
-        self.slice_mut(self.raw().qpos, self.model.nq())
-    }
-
-    /// Generalised velocities, shape (nv). A free joint's are linear (world frame) [m/s] and angular (body frame) [rad/s].
-    pub fn velocities(&self) -> &[f64] {
-        self.slice(self.raw().qvel, self.model.nv())
-    }
-
-    /// [`Data::velocities`], writable.
-    pub fn velocities_mut(&mut self) -> &mut [f64] {
-        self.slice_mut(self.raw().qvel, self.model.nv())
-    }
-
-    /// Accelerations that warm-start the constraint solver, shape (nv). Part of the state for exact resumption.
-    pub fn warm_start(&self) -> &[f64] {
-        self.slice(self.raw().qacc_warmstart, self.model.nv())
-    }
-
-    /// [`Data::warm_start`], writable.
-    pub fn warm_start_mut(&mut self) -> &mut [f64] {
-        self.slice_mut(self.raw().qacc_warmstart, self.model.nv())
-    }
-
-    /// Generalised accelerations, shape (nv): those of the last step, or what [`Data::inverse_dynamics`] starts from.
-    pub fn accelerations_mut(&mut self) -> &mut [f64] {
-        self.slice_mut(self.raw().qacc, self.model.nv())
-    }
-
-    /// Generalised forces of the last [`Data::inverse_dynamics`], shape (nv).
-    pub fn inverse_forces(&self) -> &[f64] {
-        self.slice(self.raw().qfrc_inverse, self.model.nv())
-    }
-
-    /// Points that hinges turn about, world frame, shape (njnt, 3). \[m\]
-    pub fn joint_anchors(&self) -> &[f64] {
-        self.slice(self.raw().xanchor, 3 * self.model.count(Kind::Joint))
-    }
-
-    /// Axes of hinges, world frame, unit vectors, shape (njnt, 3).
-    pub fn joint_axes(&self) -> &[f64] {
-        self.slice(self.raw().xaxis, 3 * self.model.count(Kind::Joint))
-    }
-
-    /// Actuator controls, shape (nu).
-    pub fn controls(&self) -> &[f64] {
-        self.slice(self.raw().ctrl, self.model.nu())
-    }
-
-    /// [`Data::controls`], writable.
-    pub fn controls_mut(&mut self) -> &mut [f64] {
-        self.slice_mut(self.raw().ctrl, self.model.nu())
-    }
-
-    /// Applied force and torque on each body at its centre of mass, world frame, shape (nbody, 6). Persists. [N, N·m]
-    pub fn applied_forces_mut(&mut self) -> &mut [f64] {
-        self.slice_mut(self.raw().xfrc_applied, 6 * self.model.count(Kind::Body))
-    }
-
-    /// Body frame origins, world frame, shape (nbody, 3). \[m\]
-    pub fn body_positions(&self) -> &[f64] {
-        self.slice(self.raw().xpos, 3 * self.model.count(Kind::Body))
-    }
-
-    /// Centres of mass of the bodies, world frame, shape (nbody, 3). \[m\]
-    pub fn body_centres(&self) -> &[f64] {
-        self.slice(self.raw().xipos, 3 * self.model.count(Kind::Body))
-    }
-
-    /// Body orientations (w, x, y, z), shape (nbody, 4).
-    pub fn body_quaternions(&self) -> &[f64] {
-        self.slice(self.raw().xquat, 4 * self.model.count(Kind::Body))
-    }
-
-    /// Geometry centres, world frame, shape (ngeom, 3). \[m\]
-    pub fn geom_positions(&self) -> &[f64] {
-        self.slice(self.raw().geom_xpos, 3 * self.model.count(Kind::Geom))
-    }
-
-    /// Geometry orientations, rotation matrices to the world frame by rows, shape (ngeom, 9).
-    pub fn geom_rotations(&self) -> &[f64] {
-        self.slice(self.raw().geom_xmat, 9 * self.model.count(Kind::Geom))
-    }
-
-    /// Sites, world frame, shape (nsite, 3). \[m\]
-    pub fn site_positions(&self) -> &[f64] {
-        self.slice(self.raw().site_xpos, 3 * self.model.count(Kind::Site))
-    }
-
-    /// Positions of the bodies that are moved from outside, shape (nmocap, 3). \[m\]
-    pub fn mocap_positions_mut(&mut self) -> &mut [f64] {
-        self.slice_mut(self.raw().mocap_pos, 3 * self.model.mocap_count())
-    }
-
-    /// Lengths of tendons as of the last first half-step, shape (ntendon). \[m\]
-    pub fn tendon_lengths(&self) -> &[f64] {
-        self.slice(self.raw().ten_length, self.model.count(Kind::Tendon))
-    }
-
-    /// Rates of the lengths of tendons as of the last first half-step, shape (ntendon). [m/s]
-    pub fn tendon_velocities(&self) -> &[f64] {
-        self.slice(self.raw().ten_velocity, self.model.count(Kind::Tendon))
+    getters! {
+        /// Generalised positions, shape (nq). A free joint's are position (world) \[m\] and quaternion (w, x, y, z).
+        fn positions(&self) -> &[f64] = self.slice(self.raw().qpos, self.model.nq());
+        /// [`Data::positions`], writable.
+        fn positions_mut(&mut self) -> &mut [f64] = self.slice_mut(self.raw().qpos, self.model.nq());
+        /// Generalised velocities, shape (nv). A free joint's are linear (world frame) [m/s] and angular (body frame) [rad/s].
+        fn velocities(&self) -> &[f64] = self.slice(self.raw().qvel, self.model.nv());
+        /// [`Data::velocities`], writable.
+        fn velocities_mut(&mut self) -> &mut [f64] = self.slice_mut(self.raw().qvel, self.model.nv());
+        /// Accelerations that warm-start the constraint solver, shape (nv). Part of the state for exact resumption.
+        fn warm_start(&self) -> &[f64] = self.slice(self.raw().qacc_warmstart, self.model.nv());
+        /// [`Data::warm_start`], writable.
+        fn warm_start_mut(&mut self) -> &mut [f64] = self.slice_mut(self.raw().qacc_warmstart, self.model.nv());
+        /// Generalised accelerations, shape (nv): those of the last step, or what [`Data::inverse_dynamics`] starts from.
+        fn accelerations_mut(&mut self) -> &mut [f64] = self.slice_mut(self.raw().qacc, self.model.nv());
+        /// Generalised forces of the last [`Data::inverse_dynamics`], shape (nv).
+        fn inverse_forces(&self) -> &[f64] = self.slice(self.raw().qfrc_inverse, self.model.nv());
+        /// Points that hinges turn about, world frame, shape (njnt, 3). \[m\]
+        fn joint_anchors(&self) -> &[f64] = self.slice(self.raw().xanchor, 3 * self.model.count(Object::Joint));
+        /// Axes of hinges, world frame, unit vectors, shape (njnt, 3).
+        fn joint_axes(&self) -> &[f64] = self.slice(self.raw().xaxis, 3 * self.model.count(Object::Joint));
+        /// Actuator controls, shape (nu).
+        fn controls(&self) -> &[f64] = self.slice(self.raw().ctrl, self.model.nu());
+        /// [`Data::controls`], writable.
+        fn controls_mut(&mut self) -> &mut [f64] = self.slice_mut(self.raw().ctrl, self.model.nu());
+        /// Applied force and torque on each body at its centre of mass, world frame, shape (nbody, 6). Persists. [N, N·m]
+        fn applied_forces_mut(&mut self) -> &mut [f64] =
+            self.slice_mut(self.raw().xfrc_applied, 6 * self.model.count(Object::Body));
+        /// Body frame origins, world frame, shape (nbody, 3). \[m\]
+        fn body_positions(&self) -> &[f64] = self.slice(self.raw().xpos, 3 * self.model.count(Object::Body));
+        /// Centres of mass of the bodies, world frame, shape (nbody, 3). \[m\]
+        fn body_centres(&self) -> &[f64] = self.slice(self.raw().xipos, 3 * self.model.count(Object::Body));
+        /// Body orientations (w, x, y, z), shape (nbody, 4).
+        fn body_quaternions(&self) -> &[f64] = self.slice(self.raw().xquat, 4 * self.model.count(Object::Body));
+        /// Geometry centres, world frame, shape (ngeom, 3). \[m\]
+        fn geom_positions(&self) -> &[f64] = self.slice(self.raw().geom_xpos, 3 * self.model.count(Object::Geom));
+        /// Geometry orientations, rotation matrices to the world frame by rows, shape (ngeom, 9).
+        fn geom_rotations(&self) -> &[f64] = self.slice(self.raw().geom_xmat, 9 * self.model.count(Object::Geom));
+        /// Sites, world frame, shape (nsite, 3). \[m\]
+        fn site_positions(&self) -> &[f64] = self.slice(self.raw().site_xpos, 3 * self.model.count(Object::Site));
+        /// Positions of the bodies that are moved from outside, shape (nmocap, 3). \[m\]
+        fn mocap_positions_mut(&mut self) -> &mut [f64] =
+            self.slice_mut(self.raw().mocap_pos, 3 * self.model.mocap_count());
+        /// Lengths of tendons as of the last first half-step, shape (ntendon). \[m\]
+        fn tendon_lengths(&self) -> &[f64] = self.slice(self.raw().ten_length, self.model.count(Object::Tendon));
+        /// Rates of the lengths of tendons as of the last first half-step, shape (ntendon). [m/s]
+        fn tendon_velocities(&self) -> &[f64] = self.slice(self.raw().ten_velocity, self.model.count(Object::Tendon));
     }
 
     /// The first numbers of a field of this data.
@@ -318,7 +257,7 @@ impl Data {
         name: &'static str,
         function: unsafe extern "C" fn(*const sys::mjModel, *mut sys::mjData, *mut std::ffi::c_char) -> i32,
     ) -> Result<()> {
-        let mut message: Message = EMPTY_MESSAGE;
+        let mut message = EMPTY_MESSAGE;
         // SAFETY: model and data are valid and belong together; the shim catches errors.
         let failed = unsafe { function(self.model.as_ptr(), self.raw.as_ptr(), message.as_mut_ptr()) };
         self.broken |= failed != 0;
@@ -347,9 +286,9 @@ impl Data {
             }
         }
         if warnings[sys::mjWARN_CONTACTFULL as usize].number > 0 {
-            return Err(Error::BufferFull { buffer: Buffer::Contacts, size: self.model.nconmax() });
+            return Err(Error::BufferFull { buffer: BufferKind::Contacts, size: self.model.nconmax() });
         }
-        Err(Error::BufferFull { buffer: Buffer::Constraints, size: self.model.njmax() })
+        Err(Error::BufferFull { buffer: BufferKind::Constraints, size: self.model.njmax() })
     }
 
     /// Returns the number of contact points.
@@ -413,7 +352,7 @@ impl Data {
     /// # Panics
     /// There is no geometry of this id.
     pub fn geom_velocity(&self, geom: usize) -> [f64; 3] {
-        assert!(geom < self.model.count(Kind::Geom), "geom {geom} out of range");
+        assert!(geom < self.model.count(Object::Geom), "geom {geom} out of range");
         self.velocity_of(sys::mjOBJ_GEOM as i32, geom)
     }
 
@@ -422,7 +361,7 @@ impl Data {
     /// # Panics
     /// There is no site of this id.
     pub fn site_velocity(&self, site: usize) -> [f64; 3] {
-        assert!(site < self.model.count(Kind::Site), "site {site} out of range");
+        assert!(site < self.model.count(Object::Site), "site {site} out of range");
         self.velocity_of(sys::mjOBJ_SITE as i32, site)
     }
 
@@ -530,7 +469,7 @@ mod tests {
             return assert_eq!(data.contacts().count(), 7);
         }
         let error = data.step1().unwrap_err();
-        assert_eq!(error, Error::BufferFull { buffer: Buffer::Contacts, size: 4 });
+        assert_eq!(error, Error::BufferFull { buffer: BufferKind::Contacts, size: 4 });
         assert!(error.to_string().contains("nconmax"));
     }
 

@@ -20,7 +20,7 @@ pub enum StateKind {
 
 /// The fixed-size buffer of `mjData` that was too small.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Buffer {
+pub enum BufferKind {
     /// The contact buffer, `nconmax`.
     Contacts,
     /// The buffer of constraint rows, `njmax`.
@@ -90,7 +90,7 @@ pub enum Error {
     #[error("the buffer for {buffer:?} is full at {size}: enlarge it in the scene (nconmax, njmax)")]
     BufferFull {
         /// The buffer that was full.
-        buffer: Buffer,
+        buffer: BufferKind,
         /// Capacity of the buffer.
         size: usize,
     },

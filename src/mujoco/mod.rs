@@ -8,6 +8,13 @@ module is the only one that holds `unsafe` code.
 */
 #![allow(unsafe_code)]
 
+/// Declares getters, a line each.
+macro_rules! getters {
+    ($($(#[$doc:meta])* fn $name:ident($($given:tt)*) -> $type:ty = $value:expr;)*) => {
+        $($(#[$doc])* pub fn $name($($given)*) -> $type { $value })*
+    };
+}
+
 mod data;
 mod error;
 mod library;
@@ -16,9 +23,9 @@ mod render;
 mod sizes;
 
 pub use data::{Contact, Data};
-pub use error::{Buffer, Error, Result, StateKind};
+pub use error::{BufferKind, Error, Result, StateKind};
 pub use library::library_file;
-pub use model::{Actuator, Geom, GeomContact, Inertial, Kind, Model, Shape};
+pub use model::{Actuator, Geom, GeomContact, GeomShape, Inertial, Model, Object};
 pub use render::{Camera, LARGEST_PICTURE, MOST_MARKS, Mark, MarkShape, Renderer};
 pub use sizes::{SizeError, check_sizes};
 
@@ -51,19 +58,19 @@ pub fn release_memory() {
 }
 
 /// Buffer into which the shim writes MuJoCo's message.
-type Message = [std::ffi::c_char; mujoco_sys::SUPPLE_ERROR_SIZE as usize];
+type MessageBuffer = [std::ffi::c_char; mujoco_sys::SUPPLE_ERROR_SIZE as usize];
 
-const EMPTY_MESSAGE: Message = [0; mujoco_sys::SUPPLE_ERROR_SIZE as usize];
+const EMPTY_MESSAGE: MessageBuffer = [0; mujoco_sys::SUPPLE_ERROR_SIZE as usize];
 
 /// Joins MuJoCo's message into one line.
-fn text(message: &Message) -> String {
+fn text(message: &MessageBuffer) -> String {
     // SAFETY: the shim and MuJoCo always terminate the message within the buffer, which starts as zeros.
     let text = unsafe { CStr::from_ptr(message.as_ptr()) }.to_string_lossy();
     text.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
 /// Turns the return code of a guarded call into a result.
-fn check(call: &'static str, failed: i32, message: &Message) -> Result<()> {
+fn check(call: &'static str, failed: i32, message: &MessageBuffer) -> Result<()> {
     if failed == 0 { Ok(()) } else { Err(Error::Engine { call, message: text(message) }) }
 }
 

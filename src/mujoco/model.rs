@@ -13,7 +13,7 @@ use crate::util::xml;
 
 /// A kind of named model element.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Kind {
+pub enum Object {
     /// A body: a rigid part with mass.
     Body,
     /// A joint between a body and its parent.
@@ -32,25 +32,25 @@ pub enum Kind {
     Tendon,
 }
 
-impl Kind {
+impl Object {
     /// Returns MuJoCo's constant of the kind and its name in messages.
     fn known(self) -> (u32, &'static str) {
         match self {
-            Kind::Body => (sys::mjOBJ_BODY, "body"),
-            Kind::Joint => (sys::mjOBJ_JOINT, "joint"),
-            Kind::Geom => (sys::mjOBJ_GEOM, "geom"),
-            Kind::Site => (sys::mjOBJ_SITE, "site"),
-            Kind::Actuator => (sys::mjOBJ_ACTUATOR, "actuator"),
-            Kind::Numeric => (sys::mjOBJ_NUMERIC, "numeric field"),
-            Kind::HeightField => (sys::mjOBJ_HFIELD, "height field"),
-            Kind::Tendon => (sys::mjOBJ_TENDON, "tendon"),
+            Object::Body => (sys::mjOBJ_BODY, "body"),
+            Object::Joint => (sys::mjOBJ_JOINT, "joint"),
+            Object::Geom => (sys::mjOBJ_GEOM, "geom"),
+            Object::Site => (sys::mjOBJ_SITE, "site"),
+            Object::Actuator => (sys::mjOBJ_ACTUATOR, "actuator"),
+            Object::Numeric => (sys::mjOBJ_NUMERIC, "numeric field"),
+            Object::HeightField => (sys::mjOBJ_HFIELD, "height field"),
+            Object::Tendon => (sys::mjOBJ_TENDON, "tendon"),
         }
     }
 }
 
 /// Shape of a geometry, with MuJoCo's convention for its sizes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Shape {
+pub enum GeomShape {
     /// An infinite plane; sizes are the drawn half-lengths.
     Plane,
     /// The height field of this id.
@@ -77,7 +77,7 @@ pub struct Geom {
     /// Id of the body that the geometry is fixed to.
     pub body: usize,
     /// The shape of the geometry.
-    pub shape: Shape,
+    pub shape: GeomShape,
     /// Shape-specific sizes \[m\].
     pub size: [f64; 3],
     /// Position in its body's frame \[m\].
@@ -177,149 +177,69 @@ impl Drop for Model {
 
 /// Sizes, whole arrays, and the values of single elements. The length of an array is the size that mjmodel.h documents for it.
 impl Model {
-    /// Number of generalised positions.
-    pub fn nq(&self) -> usize {
-        self.raw().nq as usize
-    }
-
-    /// Number of generalised velocities.
-    pub fn nv(&self) -> usize {
-        self.raw().nv as usize
-    }
-
-    /// Number of actuators.
-    pub fn nu(&self) -> usize {
-        self.raw().nu as usize
-    }
-
-    /// Capacity of the contact buffer.
-    pub fn nconmax(&self) -> usize {
-        self.raw().nconmax as usize
-    }
-
-    /// Capacity of the constraint buffer \[rows\].
-    pub fn njmax(&self) -> usize {
-        self.raw().njmax as usize
-    }
-
-    /// Number of bodies that are moved from outside.
-    pub fn mocap_count(&self) -> usize {
-        self.raw().nmocap as usize
-    }
-
-    /// Viscous damping of every degree of freedom, shape (nv). [N·m·s/rad]
-    pub fn damping(&self) -> &[f64] {
-        self.slice(self.raw().dof_damping, self.raw().nv)
-    }
-
-    /// Reflected rotor inertia of every degree of freedom, shape (nv). [kg·m²]
-    pub fn armature(&self) -> &[f64] {
-        self.slice(self.raw().dof_armature, self.raw().nv)
-    }
-
-    /// Coulomb friction of every degree of freedom, shape (nv). [N·m]
-    pub fn friction_loss(&self) -> &[f64] {
-        self.slice(self.raw().dof_frictionloss, self.raw().nv)
-    }
-
-    /// Positions that the file puts everything at, shape (nq).
-    pub fn rest_positions(&self) -> &[f64] {
-        self.slice(self.raw().qpos0, self.raw().nq)
-    }
-
-    /// Mass of every body, shape (nbody). \[kg\]
-    pub fn body_mass(&self) -> &[f64] {
-        self.slice(self.raw().body_mass, self.raw().nbody)
-    }
-
-    /// Index of a joint's first position.
-    pub fn joint_position_index(&self, id: usize) -> usize {
-        self.slice(self.raw().jnt_qposadr, self.raw().njnt)[id] as usize
-    }
-
-    /// Index of a joint's first velocity.
-    pub fn joint_velocity_index(&self, id: usize) -> usize {
-        self.slice(self.raw().jnt_dofadr, self.raw().njnt)[id] as usize
-    }
-
-    /// Body that a joint moves.
-    pub fn joint_body(&self, id: usize) -> usize {
-        self.slice(self.raw().jnt_bodyid, self.raw().njnt)[id] as usize
-    }
-
-    /// Body of a site.
-    pub fn site_body(&self, id: usize) -> usize {
-        self.slice(self.raw().site_bodyid, self.raw().nsite)[id] as usize
-    }
-
-    /// Body to which a body is attached.
-    pub fn body_parent(&self, id: usize) -> usize {
-        self.slice(self.raw().body_parentid, self.raw().nbody)[id] as usize
-    }
-
-    /// Body of a geometry.
-    pub fn geom_body(&self, id: usize) -> usize {
-        self.slice(self.raw().geom_bodyid, self.raw().ngeom)[id] as usize
-    }
-
-    /// Lower and upper limit of a joint \[rad\].
-    pub fn joint_range(&self, id: usize) -> [f64; 2] {
-        row(self.slice(self.raw().jnt_range, 2 * self.raw().njnt), id)
-    }
-
-    /// True if a joint has limits.
-    pub fn joint_is_limited(&self, id: usize) -> bool {
-        self.slice::<u8>(self.raw().jnt_limited.cast(), self.raw().njnt)[id] != 0
-    }
-
-    /// Spring stiffness of a joint [N·m/rad].
-    pub fn joint_stiffness(&self, id: usize) -> f64 {
-        self.slice(self.raw().jnt_stiffness, self.raw().njnt)[id]
-    }
-
-    /// Moments of inertia about the principal axes of a body [kg·m²].
-    pub fn body_inertia(&self, id: usize) -> [f64; 3] {
-        row(self.slice(self.raw().body_inertia, 3 * self.raw().nbody), id)
-    }
-
-    /// Orientation of the principal axes in a body's frame (w, x, y, z).
-    pub fn body_inertia_quaternion(&self, id: usize) -> [f64; 4] {
-        row(self.slice(self.raw().body_iquat, 4 * self.raw().nbody), id)
-    }
-
-    /// Lower and upper limit of an actuator's control.
-    pub fn control_range(&self, id: usize) -> [f64; 2] {
-        row(self.slice(self.raw().actuator_ctrlrange, 2 * self.raw().nu), id)
-    }
-
-    /// Centre of mass of a body in its own frame \[m\].
-    pub fn body_centre_of_mass(&self, id: usize) -> [f64; 3] {
-        row(self.slice(self.raw().body_ipos, 3 * self.raw().nbody), id)
-    }
-
-    /// Origin of a body in the frame of the body above it \[m\].
-    pub fn body_position(&self, id: usize) -> [f64; 3] {
-        row(self.slice(self.raw().body_pos, 3 * self.raw().nbody), id)
-    }
-
-    /// Where a joint is, in its body's frame \[m\].
-    pub fn joint_anchor(&self, id: usize) -> [f64; 3] {
-        row(self.slice(self.raw().jnt_pos, 3 * self.raw().njnt), id)
-    }
-
-    /// The unit vector that a hinge turns about, in its body's frame.
-    pub fn joint_axis(&self, id: usize) -> [f64; 3] {
-        row(self.slice(self.raw().jnt_axis, 3 * self.raw().njnt), id)
-    }
-
-    /// Sizes of a site, as of a geometry of its shape \[m\].
-    pub fn site_size(&self, id: usize) -> [f64; 3] {
-        row(self.slice(self.raw().site_size, 3 * self.raw().nsite), id)
-    }
-
-    /// Where a site is, in its body's frame \[m\].
-    pub fn site_position(&self, id: usize) -> [f64; 3] {
-        row(self.slice(self.raw().site_pos, 3 * self.raw().nsite), id)
+    getters! {
+        /// Number of generalised positions.
+        fn nq(&self) -> usize = self.raw().nq as usize;
+        /// Number of generalised velocities.
+        fn nv(&self) -> usize = self.raw().nv as usize;
+        /// Number of actuators.
+        fn nu(&self) -> usize = self.raw().nu as usize;
+        /// Capacity of the contact buffer.
+        fn nconmax(&self) -> usize = self.raw().nconmax as usize;
+        /// Capacity of the constraint buffer \[rows\].
+        fn njmax(&self) -> usize = self.raw().njmax as usize;
+        /// Number of bodies that are moved from outside.
+        fn mocap_count(&self) -> usize = self.raw().nmocap as usize;
+        /// Viscous damping of every degree of freedom, shape (nv). [N·m·s/rad]
+        fn damping(&self) -> &[f64] = self.slice(self.raw().dof_damping, self.raw().nv);
+        /// Reflected rotor inertia of every degree of freedom, shape (nv). [kg·m²]
+        fn armature(&self) -> &[f64] = self.slice(self.raw().dof_armature, self.raw().nv);
+        /// Coulomb friction of every degree of freedom, shape (nv). [N·m]
+        fn friction_loss(&self) -> &[f64] = self.slice(self.raw().dof_frictionloss, self.raw().nv);
+        /// Positions that the file puts everything at, shape (nq).
+        fn rest_positions(&self) -> &[f64] = self.slice(self.raw().qpos0, self.raw().nq);
+        /// Mass of every body, shape (nbody). \[kg\]
+        fn body_mass(&self) -> &[f64] = self.slice(self.raw().body_mass, self.raw().nbody);
+        /// Index of a joint's first position.
+        fn joint_position_index(&self, id: usize) -> usize =
+            self.slice(self.raw().jnt_qposadr, self.raw().njnt)[id] as usize;
+        /// Index of a joint's first velocity.
+        fn joint_velocity_index(&self, id: usize) -> usize =
+            self.slice(self.raw().jnt_dofadr, self.raw().njnt)[id] as usize;
+        /// Body that a joint moves.
+        fn joint_body(&self, id: usize) -> usize = self.slice(self.raw().jnt_bodyid, self.raw().njnt)[id] as usize;
+        /// Body of a site.
+        fn site_body(&self, id: usize) -> usize = self.slice(self.raw().site_bodyid, self.raw().nsite)[id] as usize;
+        /// Body to which a body is attached.
+        fn body_parent(&self, id: usize) -> usize = self.slice(self.raw().body_parentid, self.raw().nbody)[id] as usize;
+        /// Body of a geometry.
+        fn geom_body(&self, id: usize) -> usize = self.slice(self.raw().geom_bodyid, self.raw().ngeom)[id] as usize;
+        /// Lower and upper limit of a joint \[rad\].
+        fn joint_range(&self, id: usize) -> [f64; 2] = self.row(self.raw().jnt_range, self.raw().njnt, id);
+        /// True if a joint has limits.
+        fn joint_is_limited(&self, id: usize) -> bool =
+            self.slice::<u8>(self.raw().jnt_limited.cast(), self.raw().njnt)[id] != 0;
+        /// Spring stiffness of a joint [N·m/rad].
+        fn joint_stiffness(&self, id: usize) -> f64 = self.slice(self.raw().jnt_stiffness, self.raw().njnt)[id];
+        /// Moments of inertia about the principal axes of a body [kg·m²].
+        fn body_inertia(&self, id: usize) -> [f64; 3] = self.row(self.raw().body_inertia, self.raw().nbody, id);
+        /// Orientation of the principal axes in a body's frame (w, x, y, z).
+        fn body_inertia_quaternion(&self, id: usize) -> [f64; 4] =
+            self.row(self.raw().body_iquat, self.raw().nbody, id);
+        /// Lower and upper limit of an actuator's control.
+        fn control_range(&self, id: usize) -> [f64; 2] = self.row(self.raw().actuator_ctrlrange, self.raw().nu, id);
+        /// Centre of mass of a body in its own frame \[m\].
+        fn body_centre_of_mass(&self, id: usize) -> [f64; 3] = self.row(self.raw().body_ipos, self.raw().nbody, id);
+        /// Origin of a body in the frame of the body above it \[m\].
+        fn body_position(&self, id: usize) -> [f64; 3] = self.row(self.raw().body_pos, self.raw().nbody, id);
+        /// Where a joint is, in its body's frame \[m\].
+        fn joint_anchor(&self, id: usize) -> [f64; 3] = self.row(self.raw().jnt_pos, self.raw().njnt, id);
+        /// The unit vector that a hinge turns about, in its body's frame.
+        fn joint_axis(&self, id: usize) -> [f64; 3] = self.row(self.raw().jnt_axis, self.raw().njnt, id);
+        /// Sizes of a site, as of a geometry of its shape \[m\].
+        fn site_size(&self, id: usize) -> [f64; 3] = self.row(self.raw().site_size, self.raw().nsite, id);
+        /// Where a site is, in its body's frame \[m\].
+        fn site_position(&self, id: usize) -> [f64; 3] = self.row(self.raw().site_pos, self.raw().nsite, id);
     }
 }
 
@@ -405,18 +325,18 @@ impl Model {
 
     /// Returns the number of elements of a kind.
     #[allow(clippy::useless_conversion)] // later releases count with 64 bits
-    pub fn count(&self, kind: Kind) -> usize {
+    pub fn count(&self, kind: Object) -> usize {
         let raw = self.raw();
         (match kind {
-            Kind::Body => raw.nbody,
-            Kind::Joint => raw.njnt,
-            Kind::Geom => raw.ngeom,
-            Kind::Site => raw.nsite,
+            Object::Body => raw.nbody,
+            Object::Joint => raw.njnt,
+            Object::Geom => raw.ngeom,
+            Object::Site => raw.nsite,
             // SAFETY: the model is valid.
-            Kind::Actuator => unsafe { sys::supple_actuator_count(raw) }.into(),
-            Kind::Numeric => raw.nnumeric,
-            Kind::HeightField => raw.nhfield,
-            Kind::Tendon => raw.ntendon,
+            Object::Actuator => unsafe { sys::supple_actuator_count(raw) }.into(),
+            Object::Numeric => raw.nnumeric,
+            Object::HeightField => raw.nhfield,
+            Object::Tendon => raw.ntendon,
         }) as usize
     }
 
@@ -424,7 +344,7 @@ impl Model {
     ///
     /// # Errors
     /// The model has no such element; the error lists the names that it has.
-    pub fn id(&self, kind: Kind, name: &str) -> Result<usize> {
+    pub fn id(&self, kind: Object, name: &str) -> Result<usize> {
         // No element's name holds a zero byte.
         let id = CString::new(name).map_or(-1, |name| {
             // SAFETY: model and name are valid.
@@ -438,7 +358,7 @@ impl Model {
     }
 
     /// Returns the name of an element; empty if it has none or does not exist.
-    pub fn name(&self, kind: Kind, id: usize) -> &str {
+    pub fn name(&self, kind: Object, id: usize) -> &str {
         // SAFETY: MuJoCo checks the id's range and returns null for elements without a name.
         let name = unsafe { sys::mj_id2name(self.as_ptr(), kind.known().0 as i32, id as i32) };
         if name.is_null() {
@@ -475,7 +395,7 @@ impl Model {
     /// # Panics
     /// There is no geometry of this id.
     pub fn set_sliding_friction(&mut self, geom: usize, friction: f64) {
-        assert!(geom < self.count(Kind::Geom), "geom {geom} out of range");
+        assert!(geom < self.count(Object::Geom), "geom {geom} out of range");
         let raw = self.raw_mut();
         // SAFETY: geom_friction holds 3 numbers for each geom; the id was checked.
         unsafe { *raw.geom_friction.add(3 * geom) = friction };
@@ -495,7 +415,7 @@ impl Model {
     /// # Panics
     /// There is no geometry of this id.
     pub fn set_priority(&mut self, geom: usize, priority: i32) {
-        assert!(geom < self.count(Kind::Geom), "geom {geom} out of range");
+        assert!(geom < self.count(Object::Geom), "geom {geom} out of range");
         // SAFETY: geom_priority holds a number for each geom; the id was checked.
         unsafe { *self.raw_mut().geom_priority.add(geom) = priority };
     }
@@ -524,7 +444,7 @@ impl Model {
         let own_kg = self.body_mass()[body];
         let factor = 1.0 + mass_kg / own_kg;
         if !(factor > 0.0 && factor.is_finite()) {
-            let what = format!("mass to add to {}, of {own_kg:.2} kg", self.name(Kind::Body, body));
+            let what = format!("mass to add to {}, of {own_kg:.2} kg", self.name(Object::Body, body));
             return Err(Error::Input { what, found: format!("{mass_kg} kg") });
         }
         let parent = |body: usize| self.slice(self.raw().body_parentid, self.raw().nbody)[body] as usize;
@@ -567,12 +487,12 @@ impl Model {
     pub fn set_inertial(&mut self, body: usize, nominal: &Inertial, mass_kg: f64, offset_m: [f64; 3]) -> Result<()> {
         let factor = 1.0 + mass_kg / nominal.mass_kg;
         if !(factor > 0.0 && factor.is_finite()) {
-            let what = format!("mass to add to {}, of {:.2} kg", self.name(Kind::Body, body), nominal.mass_kg);
+            let what = format!("mass to add to {}, of {:.2} kg", self.name(Object::Body, body), nominal.mass_kg);
             return Err(Error::Input { what, found: format!("{mass_kg} kg") });
         }
-        assert!(body < self.count(Kind::Body), "body {body} out of range");
-        let geoms: Vec<usize> = (0..self.count(Kind::Geom)).filter(|geom| self.geom_body(*geom) == body).collect();
-        let sites: Vec<usize> = (0..self.count(Kind::Site)).filter(|site| self.site_body(*site) == body).collect();
+        assert!(body < self.count(Object::Body), "body {body} out of range");
+        let geoms: Vec<usize> = (0..self.count(Object::Geom)).filter(|geom| self.geom_body(*geom) == body).collect();
+        let sites: Vec<usize> = (0..self.count(Object::Site)).filter(|site| self.site_body(*site) == body).collect();
         let raw = self.raw_mut();
         // SAFETY: the arrays hold one mass, one subtree's mass, three moments and three coordinates for each body, and one
         // flag for each body, geometry and site. A flag says that frames coincide, which saves a rotation; they no longer do.
@@ -597,7 +517,7 @@ impl Model {
     /// # Panics
     /// There is no tendon of this id.
     pub fn set_longest_tendon(&mut self, tendon: usize, length_m: f64) {
-        assert!(tendon < self.count(Kind::Tendon), "tendon {tendon} out of range");
+        assert!(tendon < self.count(Object::Tendon), "tendon {tendon} out of range");
         // SAFETY: tendon_range holds 2 numbers for each tendon; the id was checked.
         unsafe { *self.raw_mut().tendon_range.add(2 * tendon + 1) = length_m };
     }
@@ -620,11 +540,11 @@ impl Model {
     /// Returns the effect of an actuator.
     pub fn actuator(&self, id: usize) -> Actuator {
         let raw = self.raw();
-        let count = self.count(Kind::Actuator) as i64;
+        let count = self.count(Object::Actuator) as i64;
         let on_joint = self.slice(raw.actuator_trntype, count)[id] == sys::mjTRN_JOINT as i32;
         let target = self.slice(raw.actuator_trnid, 2 * count)[2 * id];
         let limits = |limited: *const u8, range: *const f64| {
-            (self.slice(limited, count)[id] != 0).then(|| row::<f64, 2>(self.slice(range, 2 * count), id))
+            (self.slice(limited, count)[id] != 0).then(|| self.row(range, count, id))
         };
         Actuator {
             joint: usize::try_from(target).ok().filter(|_| on_joint),
@@ -644,8 +564,8 @@ impl Model {
             conaffinity: self.slice(raw.geom_conaffinity, raw.ngeom)[id],
             condim: self.slice(raw.geom_condim, raw.ngeom)[id],
             priority: self.slice(raw.geom_priority, raw.ngeom)[id],
-            friction: row(self.slice(raw.geom_friction, 3 * raw.ngeom), id),
-            solimp: row(self.slice(raw.geom_solimp, i64::from(sys::mjNIMP) * i64::from(raw.ngeom)), id),
+            friction: self.row(raw.geom_friction, raw.ngeom, id),
+            solimp: self.row(raw.geom_solimp, raw.ngeom, id),
         }
     }
 
@@ -675,7 +595,7 @@ impl Model {
 
     /// Returns the rotation from a body's frame to its parent's frame.
     pub fn body_rotation(&self, body: usize) -> UnitQuaternion<f64> {
-        let [w, x, y, z] = row(self.slice(self.raw().body_quat, 4 * self.raw().nbody), body);
+        let [w, x, y, z] = self.row(self.raw().body_quat, self.raw().nbody, body);
         UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z))
     }
 
@@ -684,28 +604,28 @@ impl Model {
         let raw = self.raw();
         let mesh = self.slice(raw.geom_dataid, raw.ngeom)[id].max(0) as usize;
         let shape = match self.slice(raw.geom_type, raw.ngeom)[id] as u32 {
-            sys::mjGEOM_PLANE => Shape::Plane,
-            sys::mjGEOM_HFIELD => Shape::HeightField(mesh),
-            sys::mjGEOM_SPHERE => Shape::Sphere,
-            sys::mjGEOM_CAPSULE => Shape::Capsule,
-            sys::mjGEOM_ELLIPSOID => Shape::Ellipsoid,
-            sys::mjGEOM_CYLINDER => Shape::Cylinder,
-            sys::mjGEOM_BOX => Shape::Box,
-            _ => Shape::Mesh(mesh),
+            sys::mjGEOM_PLANE => GeomShape::Plane,
+            sys::mjGEOM_HFIELD => GeomShape::HeightField(mesh),
+            sys::mjGEOM_SPHERE => GeomShape::Sphere,
+            sys::mjGEOM_CAPSULE => GeomShape::Capsule,
+            sys::mjGEOM_ELLIPSOID => GeomShape::Ellipsoid,
+            sys::mjGEOM_CYLINDER => GeomShape::Cylinder,
+            sys::mjGEOM_BOX => GeomShape::Box,
+            _ => GeomShape::Mesh(mesh),
         };
-        let mut rgba = row(self.slice(raw.geom_rgba, 4 * raw.ngeom), id);
+        let mut rgba = self.row(raw.geom_rgba, raw.ngeom, id);
         let material = self.slice(raw.geom_matid, raw.ngeom)[id];
         // MuJoCo's rule: the material's colour holds unless the geom sets its own.
         if material >= 0 && rgba == [0.5, 0.5, 0.5, 1.0] {
-            rgba = row(self.slice(raw.mat_rgba, 4 * raw.nmat), material as usize);
+            rgba = self.row(raw.mat_rgba, raw.nmat, material as usize);
         }
         Geom {
-            name: self.name(Kind::Geom, id).to_owned(),
+            name: self.name(Object::Geom, id).to_owned(),
             body: self.geom_body(id),
             shape,
-            size: row(self.slice(raw.geom_size, 3 * raw.ngeom), id),
-            position: row(self.slice(raw.geom_pos, 3 * raw.ngeom), id),
-            quaternion: row(self.slice(raw.geom_quat, 4 * raw.ngeom), id),
+            size: self.row(raw.geom_size, raw.ngeom, id),
+            position: self.row(raw.geom_pos, raw.ngeom, id),
+            quaternion: self.row(raw.geom_quat, raw.ngeom, id),
             rgba,
             group: self.slice(raw.geom_group, raw.ngeom)[id],
         }
@@ -716,7 +636,7 @@ impl Model {
     /// # Panics
     /// There is no geometry of this id.
     pub fn set_look(&mut self, geom: usize, rgba: [f32; 4], is_drawn: bool) {
-        assert!(geom < self.count(Kind::Geom), "geom {geom} out of range");
+        assert!(geom < self.count(Object::Geom), "geom {geom} out of range");
         let raw = self.raw_mut();
         // SAFETY: the arrays hold four numbers and one group for each geom; the id was checked. Groups from 3 are not drawn.
         unsafe {
@@ -731,7 +651,7 @@ impl Model {
         let raw = self.raw();
         let rows = self.slice(raw.hfield_nrow, raw.nhfield)[id] as usize;
         let columns = self.slice(raw.hfield_ncol, raw.nhfield)[id] as usize;
-        (rows, columns, row(self.slice(raw.hfield_size, 4 * raw.nhfield), id))
+        (rows, columns, self.row(raw.hfield_size, raw.nhfield, id))
     }
 
     /// Returns the elevations of a height field from 0 to 1, row-major, y rows by x columns.
@@ -756,11 +676,17 @@ impl Model {
     /// # Errors
     /// The model has no field of this name; the error lists the names that it has.
     pub fn numeric(&self, name: &str) -> Result<&[f64]> {
-        let id = self.id(Kind::Numeric, name)?;
+        let id = self.id(Object::Numeric, name)?;
         let raw = self.raw();
         let start = self.slice(raw.numeric_adr, raw.nnumeric)[id] as usize;
         let size = self.slice(raw.numeric_size, raw.nnumeric)[id] as usize;
         Ok(&self.slice(raw.numeric_data, raw.nnumericdata)[start..start + size])
+    }
+
+    /// Returns a row of a model array, shape (count, N).
+    fn row<T: Copy, const N: usize>(&self, start: *const T, count: impl Into<i64>, id: usize) -> [T; N] {
+        let values = self.slice(start, N as i64 * count.into());
+        std::array::from_fn(|k| values[N * id + k])
     }
 
     /// Borrows a model array as a slice. MuJoCo counts with 32 bits, later with 64.
@@ -783,10 +709,6 @@ impl Model {
         assert!(contacts as usize <= self.nconmax());
         self.raw_mut().nconmax = contacts.into();
     }
-}
-
-fn row<T: Copy, const N: usize>(values: &[T], index: usize) -> [T; N] {
-    std::array::from_fn(|k| values[N * index + k])
 }
 
 fn load(what: &str, file: &CStr, vfs: *const sys::mjVFS) -> Result<Model> {

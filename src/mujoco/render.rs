@@ -6,7 +6,7 @@ use std::sync::RwLock;
 use mujoco_sys as sys;
 
 use super::error::{Error, Result};
-use super::model::{Kind, Model};
+use super::model::{Model, Object};
 use super::{Data, EMPTY_MESSAGE, text};
 
 /// Largest number of marks in a picture.
@@ -127,7 +127,7 @@ impl Renderer {
     /// # Panics
     /// The number of poses is not that of the model's bodies.
     pub fn picture(&mut self, poses: &[[f32; 7]], camera: &Camera, marks: &[Mark]) -> Result<Vec<u8>> {
-        assert_eq!(poses.len(), self.data.model().count(Kind::Body), "poses of another model");
+        assert_eq!(poses.len(), self.data.model().count(Object::Body), "poses of another model");
         let view = sys::SuppleView {
             target: camera.target,
             distance: camera.distance_m,

@@ -30,13 +30,13 @@ pub type Row = [f32; PANEL];
 
 /// A zero-initialised float array that starts on a cache line, so that a vector load never touches two lines.
 #[derive(Debug)]
-pub struct Buffer {
+pub struct AlignedBuffer {
     storage: Vec<f32>,
     start: usize,
     len: usize,
 }
 
-impl Buffer {
+impl AlignedBuffer {
     /// Allocates `len` zeros.
     pub fn zeros(len: usize) -> Self {
         let storage = vec![0.0; len + LINE - 1];
@@ -55,7 +55,7 @@ impl Buffer {
     }
 }
 
-impl From<&[f32]> for Buffer {
+impl From<&[f32]> for AlignedBuffer {
     fn from(values: &[f32]) -> Self {
         let mut buffer = Self::zeros(values.len());
         buffer.copy_from_slice(values);
@@ -63,7 +63,7 @@ impl From<&[f32]> for Buffer {
     }
 }
 
-impl Deref for Buffer {
+impl Deref for AlignedBuffer {
     type Target = [f32];
 
     fn deref(&self) -> &[f32] {
@@ -71,7 +71,7 @@ impl Deref for Buffer {
     }
 }
 
-impl DerefMut for Buffer {
+impl DerefMut for AlignedBuffer {
     fn deref_mut(&mut self) -> &mut [f32] {
         &mut self.storage[self.start..self.start + self.len]
     }
@@ -81,13 +81,13 @@ impl DerefMut for Buffer {
 #[derive(Debug)]
 pub struct Matrix {
     rows: usize,
-    values: Buffer,
+    values: AlignedBuffer,
 }
 
 impl Matrix {
     /// Allocates a matrix of zeros.
     pub fn zeros(rows: usize, columns: usize) -> Self {
-        Self { rows, values: Buffer::zeros(rows * columns.next_multiple_of(PANEL)) }
+        Self { rows, values: AlignedBuffer::zeros(rows * columns.next_multiple_of(PANEL)) }
     }
 
     /// Returns the number of columns that fit into the panels.
@@ -413,7 +413,7 @@ mod tests {
     }
 
     fn elu_of(x: &[f32], arch: Arch) -> Vec<f32> {
-        let mut y = Buffer::zeros(x.len().next_multiple_of(LINE));
+        let mut y = AlignedBuffer::zeros(x.len().next_multiple_of(LINE));
         y[..x.len()].copy_from_slice(x);
         arch.dispatch(Elu(&mut y));
         y[..x.len()].to_vec()
@@ -440,7 +440,7 @@ mod tests {
     #[test]
     fn buffers_start_on_cache_lines() {
         for len in [0, 1, 16, 1000] {
-            let buffer = Buffer::zeros(len);
+            let buffer = AlignedBuffer::zeros(len);
             assert_eq!((buffer.as_ptr().addr() % 64, buffer.len()), (0, len));
         }
     }

@@ -248,9 +248,9 @@ mod tests {
         ActorCritic::orthogonal(11, &[20, 7], 3, -1.0, &mut ChaCha8Rng::seed_from_u64(1))
     }
 
-    type Named = Vec<(String, Vec<usize>, Vec<f32>)>;
+    type OwnedTensors = Vec<(String, Vec<usize>, Vec<f32>)>;
 
-    fn owned(network: &ActorCritic) -> Named {
+    fn owned(network: &ActorCritic) -> OwnedTensors {
         network.tensors().into_iter().map(|(name, shape, values)| (name, shape, values.to_vec())).collect()
     }
 
@@ -300,7 +300,7 @@ mod tests {
 
     #[test]
     fn unfit_tensors_are_refused_by_name() {
-        let error = |change: fn(&mut Named)| {
+        let error = |change: fn(&mut OwnedTensors)| {
             let mut tensors = owned(&network());
             change(&mut tensors);
             ActorCritic::from_tensors(tensors).unwrap_err().to_string()

@@ -2,7 +2,7 @@
 
 use pulp::Arch;
 
-use super::kernels::{Buffer, Matrix};
+use super::kernels::{AlignedBuffer, Matrix};
 use super::panel::{self, pack, panel_starts};
 use super::{Layer, Mlp};
 
@@ -21,7 +21,7 @@ pub struct PackedMlp {
 #[derive(Debug)]
 struct PackedLayer {
     outputs: usize,
-    panels: Vec<Buffer>,
+    panels: Vec<AlignedBuffer>,
 }
 
 /// Intermediate activations of [`PackedMlp::forward`]; each thread needs its own.

@@ -3,7 +3,7 @@
 use pulp::Arch;
 
 use super::Layer;
-use super::kernels::{Buffer, Ends, Matrix, PANEL, Product, Stretch};
+use super::kernels::{AlignedBuffer, Ends, Matrix, PANEL, Product, Stretch};
 
 /// Iterates over the first output of each panel of a layer with `outputs` outputs.
 pub fn panel_starts(outputs: usize) -> impl Iterator<Item = usize> {
@@ -16,9 +16,9 @@ pub fn panel_outputs(outputs: usize, first: usize) -> usize {
 }
 
 /// Packs the panel that starts at output `first`: a row for each input, the bias last.
-pub fn pack(layer: &Layer, first: usize) -> Buffer {
+pub fn pack(layer: &Layer, first: usize) -> AlignedBuffer {
     let inputs = layer.inputs();
-    let mut values = Buffer::zeros((inputs + 1) * PANEL);
+    let mut values = AlignedBuffer::zeros((inputs + 1) * PANEL);
     let rows = values.rows_mut();
     for i in 0..panel_outputs(layer.outputs(), first) {
         let weights = &layer.weight[(first + i) * inputs..][..inputs];
@@ -28,7 +28,7 @@ pub fn pack(layer: &Layer, first: usize) -> Buffer {
 }
 
 /// Writes the values of a panel back into a layer; the inverse of [`pack`].
-pub fn unpack(values: &Buffer, first: usize, layer: &mut Layer) {
+pub fn unpack(values: &AlignedBuffer, first: usize, layer: &mut Layer) {
     let inputs = layer.inputs();
     for i in 0..panel_outputs(layer.outputs(), first) {
         let weights = layer.weight[(first + i) * inputs..][..inputs].iter_mut();
@@ -41,7 +41,7 @@ pub fn forward<'a>(
     arch: Arch,
     rows: usize,
     x: &Matrix,
-    panels: impl Iterator<Item = &'a Buffer>,
+    panels: impl Iterator<Item = &'a AlignedBuffer>,
     outputs: usize,
     elu: bool,
     y: &mut Matrix,

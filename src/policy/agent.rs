@@ -78,11 +78,11 @@ pub struct Agent {
     pub calibration: Option<PolicyCalibration>,
     /// The compliance commanded behind the policy's name, as in `baseline@0.03` [m/s/N].
     pub commanded_compliance: Option<f64>,
-    kind: Kind,
+    kind: AgentKind,
 }
 
 #[derive(Debug)]
-enum Kind {
+enum AgentKind {
     Ours(Box<Policy>),
     External(Box<Inference>),
 }
@@ -116,7 +116,7 @@ impl Agent {
             sha256,
             calibration: None,
             commanded_compliance: None,
-            kind: Kind::External(Box::new(inference)),
+            kind: AgentKind::External(Box::new(inference)),
         }
     }
 
@@ -140,7 +140,7 @@ impl Agent {
 
     /// Creates a controller of one robot that shares the agent.
     pub fn shared_controller(self: &Arc<Self>) -> Box<dyn Controller> {
-        self.compliant(Box::new(PolicyController::new(Shared(Arc::clone(self)))))
+        self.compliant(Box::new(PolicyController::new(SharedAgent(Arc::clone(self)))))
     }
 
     /// Wraps a calibrated policy in the outer loop that makes its compliance a command.
@@ -169,8 +169,8 @@ impl Agent {
     /// Returns the inference from states to joint targets.
     pub fn inference(&self) -> &Inference {
         match &self.kind {
-            Kind::Ours(policy) => policy.inference(),
-            Kind::External(inference) => inference,
+            AgentKind::Ours(policy) => policy.inference(),
+            AgentKind::External(inference) => inference,
         }
     }
 
@@ -182,24 +182,24 @@ impl Agent {
     /// Returns the policy file, if the policy is one of Supple.
     pub fn policy(&self) -> Option<&Policy> {
         match &self.kind {
-            Kind::Ours(policy) => Some(policy),
-            Kind::External(_) => None,
+            AgentKind::Ours(policy) => Some(policy),
+            AgentKind::External(_) => None,
         }
     }
 
     /// Like [`Agent::policy`], but takes ownership.
     pub fn into_policy(self) -> Option<Policy> {
         match self.kind {
-            Kind::Ours(policy) => Some(*policy),
-            Kind::External(_) => None,
+            AgentKind::Ours(policy) => Some(*policy),
+            AgentKind::External(_) => None,
         }
     }
 }
 
 /// Borrows the agent's `Inference` through an `Arc<Agent>`.
-struct Shared(Arc<Agent>);
+struct SharedAgent(Arc<Agent>);
 
-impl Borrow<Inference> for Shared {
+impl Borrow<Inference> for SharedAgent {
     fn borrow(&self) -> &Inference {
         self.0.inference()
     }
@@ -208,6 +208,6 @@ impl Borrow<Inference> for Shared {
 impl From<Policy> for Agent {
     fn from(policy: Policy) -> Self {
         let (config, sha256) = (policy.provenance.config.clone(), policy.sha256().to_owned());
-        Agent { config, sha256, calibration: None, commanded_compliance: None, kind: Kind::Ours(Box::new(policy)) }
+        Agent { config, sha256, calibration: None, commanded_compliance: None, kind: AgentKind::Ours(Box::new(policy)) }
     }
 }

@@ -69,7 +69,7 @@ pub enum ComplianceError {
 
 /// The reason why a calibration is refused.
 #[derive(Debug, thiserror::Error)]
-pub enum CalibrationError {
+pub enum CalibrationFileError {
     /// The text is not the JSON of a calibration.
     #[error("{0}: run `policy calibrate` again")]
     Json(#[from] serde_json::Error),
@@ -150,7 +150,7 @@ impl PolicyCalibration {
         found.checked(sha256).map_err(FileError::of(WHAT, path))
     }
 
-    fn parse(bytes: &[u8]) -> Result<Self, CalibrationError> {
+    fn parse(bytes: &[u8]) -> Result<Self, CalibrationFileError> {
         Ok(serde_json::from_slice(bytes)?)
     }
 
@@ -158,23 +158,23 @@ impl PolicyCalibration {
     ///
     /// # Errors
     /// The calibration belongs to another policy, or its values are invalid.
-    pub fn checked(self, sha256: &str) -> Result<Self, CalibrationError> {
+    pub fn checked(self, sha256: &str) -> Result<Self, CalibrationFileError> {
         let points = &self.points;
         let numbers = points.iter().flat_map(|point| [point.commanded].into_iter().chain(point.measured));
         if self.sha256 != sha256 {
-            return Err(CalibrationError::OtherPolicy);
+            return Err(CalibrationFileError::OtherPolicy);
         }
         let rising = points.windows(2).all(|pair| pair[1].commanded > pair[0].commanded);
         let positive = numbers.chain([self.mass_kg]).all(|it| it.is_finite() && it > 0.0);
         if points.len() < 2 || !rising || !positive {
-            return Err(CalibrationError::Values);
+            return Err(CalibrationFileError::Values);
         }
         for (key, values, limits, expected) in [
             ("own_m_s_per_n", self.own_m_s_per_n, -1.0..=1.0, "-1 to 1 m/s/N"),
             ("tracking", self.tracking, 0.5..=1.5, "0.5 to 1.5"),
         ] {
             if let Some(found) = values.into_iter().find(|value| !limits.contains(value)) {
-                return Err(CalibrationError::Range { key, found, expected });
+                return Err(CalibrationFileError::Range { key, found, expected });
             }
         }
         Ok(self)

@@ -11,7 +11,7 @@ use rand::RngExt;
 use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 
-use super::inference::{Action, Buffers, Inference, Meaning, Network};
+use super::inference::{Inference, InferenceBuffers, JointPositionAction, Meaning, Network};
 use super::pytorch;
 use crate::config::{Config, Simulation, ValueError};
 use crate::network::{ActorCritic, Mlp, NetworkError, PackedMlp};
@@ -20,7 +20,7 @@ use crate::robot::{JOINTS, Joints, Robot, joint_names};
 use crate::util::files::{self, FileError};
 use crate::util::numbers;
 use crate::util::random::{Purpose, stream};
-use crate::util::tensors::{self, Tensor, TensorError};
+use crate::util::tensors::{self, StoredTensor, TensorError};
 
 /// Version of the file format that is written.
 pub const FORMAT: u32 = 1;
@@ -121,7 +121,7 @@ impl Usage {
 
 /// The JSON under the metadata key `supple`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-struct Metadata {
+struct PolicyMetadata {
     format: u32,
     observation: Vec<BlockInfo>,
     joints: Vec<String>,
@@ -135,13 +135,13 @@ struct Metadata {
 /// A trained policy: the network and everything that a robot needs to run it.
 ///
 /// ```
-/// use supple::policy::{Buffers, shipped};
+/// use supple::policy::{InferenceBuffers, shipped};
 /// use supple::train::{Curriculum, environment::LocomotionEnv};
 ///
 /// let policy = shipped::find_ours("compliant")?; // a shipped name, a policy file or a run's folder
 /// let mut env = LocomotionEnv::new(&policy.provenance.config, 0, 0, Curriculum::complete())?;
 /// env.without_stagger();
-/// let (nominal, mut buffers) = (policy.nominal_pose(), Buffers::default());
+/// let (nominal, mut buffers) = (policy.nominal_pose(), InferenceBuffers::default());
 /// for _ in 0..60 {
 ///     let targets = policy.joint_targets(&env.observation(), &mut buffers); // twelve angles [rad]
 ///     let action: [f32; 12] = std::array::from_fn(|j| ((targets[j] - nominal[j]) / policy.scale_rad()) as f32);
@@ -200,7 +200,7 @@ impl Policy {
     ///
     /// # Panics
     /// The observation has another length.
-    pub fn joint_targets(&self, observation: &[f64], buffers: &mut Buffers) -> Joints {
+    pub fn joint_targets(&self, observation: &[f64], buffers: &mut InferenceBuffers) -> Joints {
         self.inference.joint_targets(observation, buffers)
     }
 
@@ -209,19 +209,19 @@ impl Policy {
     /// # Errors
     /// The weights do not fit their shapes.
     pub fn to_bytes(&self) -> Result<Vec<u8>, safetensors::SafeTensorError> {
-        let mut all = Tensor::of_network(self.actor.tensors("policy."));
+        let mut all = StoredTensor::of_network(self.actor.tensors("policy."));
         let (observations, targets) = self.golden();
         let length = self.layout().length();
-        all.push(Tensor::f64("normaliser.offset", vec![length], self.layout().offset()));
-        all.push(Tensor::f64("normaliser.scale", vec![length], self.layout().scale()));
-        all.push(Tensor::f64("golden.observation", vec![GOLDEN, length], &observations));
-        all.push(Tensor::f64("golden.joint_target", vec![GOLDEN, JOINTS], &targets));
+        all.push(StoredTensor::f64("normaliser.offset", vec![length], self.layout().offset()));
+        all.push(StoredTensor::f64("normaliser.scale", vec![length], self.layout().scale()));
+        all.push(StoredTensor::f64("golden.observation", vec![GOLDEN, length], &observations));
+        all.push(StoredTensor::f64("golden.joint_target", vec![GOLDEN, JOINTS], &targets));
         tensors::serialize(&all, self.metadata_json())
     }
 
     /// Formats the metadata as JSON.
     pub fn metadata_json(&self) -> String {
-        let metadata = Metadata {
+        let metadata = PolicyMetadata {
             format: FORMAT,
             observation: block_infos(self.layout()),
             joints: joint_names().to_vec(),
@@ -266,13 +266,13 @@ impl Policy {
         Self::parse(bytes).map_err(FileError::of(POLICY, path))
     }
 
-    fn parse(bytes: &[u8]) -> Result<Self, Fault> {
+    fn parse(bytes: &[u8]) -> Result<Self, PolicyFileFault> {
         let read = tensors::deserialize(bytes);
         if matches!(read, Err(TensorError::Broken(_))) && pytorch::is_pytorch(bytes) {
-            return Err(Fault::PyTorch);
+            return Err(PolicyFileFault::PyTorch);
         }
         let (tensors, json) = read?;
-        let metadata: Metadata = tensors::metadata(&json, FORMAT)?;
+        let metadata: PolicyMetadata = tensors::metadata(&json, FORMAT)?;
         let layout = metadata.check()?;
         let length = layout.length();
 
@@ -281,7 +281,7 @@ impl Policy {
         let layout = layout.with_normaliser(offset, scale)?;
         let network = tensors::read_group(&tensors, "policy.")?;
         let actor = Mlp::from_tensors(network, length, JOINTS)?;
-        let Metadata { nominal_pose_rad, scale_rad, provenance, usage, .. } = metadata;
+        let PolicyMetadata { nominal_pose_rad, scale_rad, provenance, usage, .. } = metadata;
         let inference = inference(&actor, layout, nominal_pose_rad, scale_rad, &provenance.config.simulation);
         let policy = Policy { actor, inference, provenance, usage, sha256: files::sha256(&[bytes]) };
         let observations = read("golden.observation", &[GOLDEN, length])?;
@@ -289,16 +289,16 @@ impl Policy {
         let found = policy.targets_of(&observations);
         let worst = numbers::largest_magnitude(found.iter().zip(&expected).map(|(a, b)| a - b));
         if !worst.is_finite() {
-            return Err(Fault::GoldenNotFinite);
+            return Err(PolicyFileFault::GoldenNotFinite);
         }
         if worst > GOLDEN_TOLERANCE {
-            return Err(Fault::Golden { worst });
+            return Err(PolicyFileFault::Golden { worst });
         }
         Ok(policy)
     }
 
     fn targets_of(&self, observations: &[f64]) -> Vec<f64> {
-        let mut buffers = Buffers::default();
+        let mut buffers = InferenceBuffers::default();
         let rows = observations.chunks_exact(self.layout().length());
         rows.flat_map(|row| self.joint_targets(row, &mut buffers)).collect()
     }
@@ -321,7 +321,7 @@ impl Policy {
 fn inference(actor: &Mlp, layout: Layout, nominal_pose: Joints, scale_rad: f64, simulation: &Simulation) -> Inference {
     Inference {
         layout,
-        action: Action {
+        action: JointPositionAction {
             nominal_pose,
             meaning: Meaning::OffsetFromNominal,
             scale_rad: [scale_rad; JOINTS],
@@ -334,7 +334,7 @@ fn inference(actor: &Mlp, layout: Layout, nominal_pose: Joints, scale_rad: f64, 
 
 /// A fault in the content of a policy file.
 #[derive(Debug, thiserror::Error)]
-enum Fault {
+enum PolicyFileFault {
     #[error(transparent)]
     Tensors(#[from] TensorError),
     #[error("{}", pytorch::ADVICE)]
@@ -363,9 +363,9 @@ enum Fault {
     Golden { worst: f64 },
 }
 
-impl Metadata {
+impl PolicyMetadata {
     /// Checks the metadata and returns the layout of the observation.
-    fn check(&self) -> Result<Layout, Fault> {
+    fn check(&self) -> Result<Layout, PolicyFileFault> {
         let config = &self.provenance.config;
         config.check()?;
         let layout = config.layout()?;
@@ -373,16 +373,16 @@ impl Metadata {
         // The lengths may be any numbers.
         let described = self.observation.iter().fold(0_usize, |sum, block| sum.saturating_add(block.length));
         if [named, described] != [configured; 2] {
-            return Err(Fault::Length { described, named, configured });
+            return Err(PolicyFileFault::Length { described, named, configured });
         }
         if self.joints != joint_names() {
-            return Err(Fault::Joints(self.joints.clone()));
+            return Err(PolicyFileFault::Joints(self.joints.clone()));
         }
         if !numbers::finite_in_single(&self.nominal_pose_rad) || !numbers::finite_in_single(&[self.scale_rad]) {
-            return Err(Fault::Action);
+            return Err(PolicyFileFault::Action);
         }
         if self.simulation != config.simulation {
-            return Err(Fault::Simulation);
+            return Err(PolicyFileFault::Simulation);
         }
         Ok(layout)
     }
@@ -406,14 +406,13 @@ fn block_infos(layout: &Layout) -> Vec<BlockInfo> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
+    use crate::policy::onnx::OnnxNetwork;
 
-    fn policy() -> Policy {
-        let config = Config::load("compliant").unwrap();
-        let mut rng = stream(5, Purpose::Weights, 0, 0);
+    /// A policy on the Go1 that was not trained.
+    pub(in crate::policy) fn untrained(network: &ActorCritic, config: Config) -> Policy {
         let layout = config.layout().unwrap();
-        let network = ActorCritic::orthogonal(layout.length(), &[32, 16], JOINTS, -1.0, &mut rng);
         let provenance = Provenance {
             config_name: "compliant".into(),
             config,
@@ -422,7 +421,14 @@ mod tests {
             git_revision: "test".into(),
             mujoco_version: "2.2.2".into(),
         };
-        Policy::new(&network, &Robot::load("go1").unwrap(), layout, provenance)
+        Policy::new(network, &Robot::load("go1").unwrap(), layout, provenance)
+    }
+
+    fn policy() -> Policy {
+        let config = Config::load("compliant").unwrap();
+        let mut rng = stream(5, Purpose::Weights, 0, 0);
+        let inputs = config.layout().unwrap().length();
+        untrained(&ActorCritic::orthogonal(inputs, &[32, 16], JOINTS, -1.0, &mut rng), config)
     }
 
     #[test]
@@ -459,17 +465,15 @@ mod tests {
         // A zip archive as torch.save writes it, and the pickle of older versions.
         for bytes in [&b"PK\x03\x04\x00\x00\x08\x08archive/data.pkl"[..], b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19."] {
             let policy = Policy::from_bytes(bytes, Path::new("p.pt")).unwrap_err().to_string();
-            let network = super::super::onnx::Network::from_bytes(bytes, Path::new("p.onnx")).unwrap_err().to_string();
-            assert!(
-                policy.contains("torch.onnx.export") && network.contains("torch.onnx.export"),
-                "{policy} {network}"
-            );
+            let network = OnnxNetwork::from_bytes(bytes, Path::new("p.onnx")).unwrap_err().to_string();
+            let advice = "torch.onnx.export";
+            assert!(policy.contains(advice) && network.contains(advice), "{policy} {network}");
         }
     }
 
     #[test]
     fn observation_of_other_lengths_is_refused() {
-        let mut metadata: Metadata = serde_json::from_str(&policy().metadata_json()).unwrap();
+        let mut metadata: PolicyMetadata = serde_json::from_str(&policy().metadata_json()).unwrap();
         // Their sum is beyond the largest number.
         metadata.observation[..2].iter_mut().for_each(|block| block.length = usize::MAX);
         let error = metadata.check().unwrap_err().to_string();
@@ -542,7 +546,7 @@ mod tests {
             }
             // Refused or harmless: what is read has sane rates, and so a short queue of delayed targets.
             if let Ok(policy) = Policy::from_bytes(&bytes, Path::new("changed")) {
-                policy.joint_targets(&vec![0.0; policy.layout().length()], &mut Buffers::default());
+                policy.joint_targets(&vec![0.0; policy.layout().length()], &mut InferenceBuffers::default());
                 proptest::prop_assert!(policy.provenance.config.simulation.physics_rate_hz <= 20_000);
             }
         }

@@ -22,7 +22,7 @@ pub enum Meaning {
 
 /// The map from network outputs to joint targets.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Action {
+pub struct JointPositionAction {
     /// Joint targets at action zero, in Supple's order \[rad\].
     pub nominal_pose: Joints,
     /// The meaning of the network's outputs.
@@ -41,7 +41,7 @@ pub enum Network {
     /// The network of a policy file.
     Mlp(PackedMlp),
     /// The network of an ONNX file.
-    Onnx(onnx::Network),
+    Onnx(onnx::OnnxNetwork),
     /// A function of the calling program.
     Function(Function),
 }
@@ -62,7 +62,7 @@ pub struct Inference {
     /// The layout of the observation.
     pub layout: Layout,
     /// The map from outputs to joint targets.
-    pub action: Action,
+    pub action: JointPositionAction,
     /// The network from normalised observation to outputs.
     pub network: Network,
     /// Duration of a policy step \[s\].
@@ -71,16 +71,16 @@ pub struct Inference {
 
 /// Buffers of a network; each thread needs its own.
 #[derive(Debug, Default)]
-pub struct Buffers {
+pub struct InferenceBuffers {
     output: Vec<f32>,
     mlp: Scratch,
-    onnx: onnx::Scratch,
+    onnx: onnx::OnnxScratch,
 }
 
 impl Network {
     /// Evaluates rows of normalised observations, and returns one output for each joint, shape (rows, joints).
-    fn forward<'a>(&self, rows: usize, seen: &[f32], buffers: &'a mut Buffers) -> &'a [f32] {
-        let Buffers { output, mlp: scratch, onnx } = buffers;
+    fn forward<'a>(&self, rows: usize, seen: &[f32], buffers: &'a mut InferenceBuffers) -> &'a [f32] {
+        let InferenceBuffers { output, mlp: scratch, onnx } = buffers;
         output.resize(rows * JOINTS, 0.0);
         let length = seen.len() / rows.max(1);
         let each = seen.chunks_exact(length.max(1)).zip(output.chunks_exact_mut(JOINTS));
@@ -103,7 +103,7 @@ impl Inference {
         let action = &config.action;
         Ok(Inference {
             layout: config.layout()?,
-            action: Action {
+            action: JointPositionAction {
                 nominal_pose: action.nominal_pose_rad.joints(),
                 meaning: Meaning::OffsetFromNominal,
                 scale_rad: [action.scale_rad; JOINTS],
@@ -119,15 +119,15 @@ impl Inference {
     ///
     /// # Panics
     /// `seen` has another shape.
-    pub fn actions(&self, rows: usize, seen: &[f32], buffers: &mut Buffers) -> Vec<f32> {
+    pub fn actions(&self, rows: usize, seen: &[f32], buffers: &mut InferenceBuffers) -> Vec<f32> {
         let clip = self.action.clip as f32;
         self.network.forward(rows, seen, buffers).iter().map(|output| output.clamp(-clip, clip)).collect()
     }
 
     /// Returns the clipped outputs, in the policy's order, and their joint targets, in Supple's order \[rad\].
-    pub fn act(&self, seen: &[f32], buffers: &mut Buffers) -> (Joints, Joints) {
+    pub fn act(&self, seen: &[f32], buffers: &mut InferenceBuffers) -> (Joints, Joints) {
         let output = self.network.forward(1, seen, buffers);
-        let Action { nominal_pose, meaning, scale_rad, clip } = &self.action;
+        let JointPositionAction { nominal_pose, meaning, scale_rad, clip } = &self.action;
         let (mut actions, mut targets) = ([0.0; JOINTS], [0.0; JOINTS]);
         for (index, joint) in self.layout.order().iter().enumerate() {
             actions[index] = f64::from(output[index]).clamp(-clip, *clip);
@@ -144,7 +144,7 @@ impl Inference {
     ///
     /// # Panics
     /// The observation has another length.
-    pub fn joint_targets(&self, observation: &[f64], buffers: &mut Buffers) -> Joints {
+    pub fn joint_targets(&self, observation: &[f64], buffers: &mut InferenceBuffers) -> Joints {
         let normalised = |(k, raw): (usize, &f64)| self.layout.normalised(k, *raw);
         let seen: Vec<f32> = observation.iter().enumerate().map(normalised).collect();
         self.act(&seen, buffers).1
@@ -158,7 +158,7 @@ impl Inference {
 
 /// The past of one robot that a policy observes.
 #[derive(Debug, Clone, Default)]
-struct History {
+struct ObservedPast {
     observer: Observer,
     /// The number of policy steps so far.
     step: u64,
@@ -172,17 +172,17 @@ struct History {
 #[derive(Debug)]
 pub struct PolicyController<I> {
     inference: I,
-    past: History,
+    past: ObservedPast,
     seen: Vec<f32>,
-    buffers: Buffers,
+    buffers: InferenceBuffers,
 }
 
 impl<I: Borrow<Inference>> PolicyController<I> {
     /// Creates a controller from a borrowed or shared inference.
     pub fn new(inference: I) -> Self {
         let Inference { layout, action, .. } = inference.borrow();
-        let past = History { last_target: action.nominal_pose, ..History::default() };
-        PolicyController { past, seen: vec![0.0; layout.length()], buffers: Buffers::default(), inference }
+        let past = ObservedPast { last_target: action.nominal_pose, ..ObservedPast::default() };
+        PolicyController { past, seen: vec![0.0; layout.length()], buffers: InferenceBuffers::default(), inference }
     }
 
     /// Returns the normalised observation of the last step.
@@ -197,13 +197,13 @@ impl<I: Borrow<Inference> + Send> Controller for PolicyController<I> {
     }
 
     fn begin(&mut self, _: &RobotState) {
-        self.past = History { last_target: self.rest(), ..History::default() };
+        self.past = ObservedPast { last_target: self.rest(), ..ObservedPast::default() };
     }
 
     fn joint_targets(&mut self, state: &RobotState, command: &Command) -> Joints {
         let inference: &Inference = self.inference.borrow();
         let layout = &inference.layout;
-        let History { observer, step, last_action, last_target } = &mut self.past;
+        let ObservedPast { observer, step, last_action, last_target } = &mut self.past;
         let now = Moment {
             state,
             command,
@@ -269,9 +269,9 @@ action: {meaning: offset_from_nominal, scale_rad: 0.25, clip: 1.0}
         let length = inference.layout.length();
         let mut seen = vec![0.0; 2 * length];
         seen[length] = 100.0;
-        let actions = inference.actions(2, &seen, &mut Buffers::default());
+        let actions = inference.actions(2, &seen, &mut InferenceBuffers::default());
         assert_eq!((actions[1], actions[JOINTS + 2]), (1.0, 102.0));
-        let (alone, targets) = inference.act(&seen[length..], &mut Buffers::default());
+        let (alone, targets) = inference.act(&seen[length..], &mut InferenceBuffers::default());
         assert_eq!((alone[2], targets[2]), (102.0, -1.44 + 0.3 * 102.0));
     }
 

@@ -19,4 +19,4 @@ pub mod shipped;
 pub use agent::{Agent, AgentError};
 pub use controller::Controller;
 pub use file::{Policy, Provenance, Usage};
-pub use inference::{Action, Buffers, Function, Inference, Meaning, Network, PolicyController};
+pub use inference::{Function, Inference, InferenceBuffers, JointPositionAction, Meaning, Network, PolicyController};

@@ -6,24 +6,22 @@ Settings are those of the configuration; the number of epochs is the number of p
 use crate::config::Ppo;
 use crate::ranks::{Ranks, tree_sum};
 
-impl Ppo {
-    /// Returns the weight of the entropy bonus after this part of the run, 0 to 1.
-    pub fn entropy_coefficient_after(&self, part: f64) -> f64 {
-        let last = self.final_entropy_coefficient.unwrap_or(self.entropy_coefficient);
-        self.entropy_coefficient + part.min(1.0) * (last - self.entropy_coefficient)
-    }
+/// Returns the weight of the entropy bonus after this part of the run, 0 to 1.
+pub fn entropy_coefficient_after(settings: &Ppo, part: f64) -> f64 {
+    let last = settings.final_entropy_coefficient.unwrap_or(settings.entropy_coefficient);
+    settings.entropy_coefficient + part.min(1.0) * (last - settings.entropy_coefficient)
+}
 
-    /// Returns the learning rate for a step at which the policy has the divergence `kl` from the rollout's (Rudin et
-    /// al., 2021): divided by 1.5 above twice the desired divergence, multiplied by 1.5 below half of it. As in rsl_rl,
-    /// a divergence of exactly zero (the first minibatch of an update) changes nothing.
-    pub fn adapted_learning_rate(&self, learning_rate: f64, kl: f64) -> f64 {
-        if kl > 2.0 * self.desired_kl {
-            (learning_rate / 1.5).max(self.min_learning_rate)
-        } else if kl > 0.0 && kl < 0.5 * self.desired_kl {
-            (learning_rate * 1.5).min(self.max_learning_rate)
-        } else {
-            learning_rate
-        }
+/// Returns the learning rate for a step at which the policy has the divergence `kl` from the rollout's (Rudin et
+/// al., 2021): divided by 1.5 above twice the desired divergence, multiplied by 1.5 below half of it. As in rsl_rl,
+/// a divergence of exactly zero (the first minibatch of an update) changes nothing.
+pub fn adapted_learning_rate(settings: &Ppo, learning_rate: f64, kl: f64) -> f64 {
+    if kl > 2.0 * settings.desired_kl {
+        (learning_rate / 1.5).max(settings.min_learning_rate)
+    } else if kl > 0.0 && kl < 0.5 * settings.desired_kl {
+        (learning_rate * 1.5).min(settings.max_learning_rate)
+    } else {
+        learning_rate
     }
 }
 
@@ -256,20 +254,20 @@ pub(in crate::ppo) mod tests {
     #[test]
     fn the_weight_of_the_entropy_falls_linearly_if_a_last_one_is_given() {
         let settings = Ppo { entropy_coefficient: 0.01, final_entropy_coefficient: Some(0.002), ..settings() };
-        let weights = [0.0, 0.25, 1.0, 1.5].map(|part| settings.entropy_coefficient_after(part));
+        let weights = [0.0, 0.25, 1.0, 1.5].map(|part| entropy_coefficient_after(&settings, part));
         let expected = [0.01, 0.008, 0.002, 0.002];
         assert!(
             weights.iter().zip(expected).all(|(weight, expected)| (weight - expected).abs() < 1e-15),
             "{weights:?}"
         );
         let constant = Ppo { final_entropy_coefficient: None, ..settings };
-        assert_eq!(constant.entropy_coefficient_after(0.7), 0.01);
+        assert_eq!(entropy_coefficient_after(&constant, 0.7), 0.01);
     }
 
     #[test]
     fn learning_rate_follows_the_divergence_within_its_limits() {
         let settings = settings();
-        let rate = |learning_rate, kl| settings.adapted_learning_rate(learning_rate, kl);
+        let rate = |learning_rate, kl| adapted_learning_rate(&settings, learning_rate, kl);
         assert_eq!(rate(3e-3, 0.041), 2e-3);
         assert_eq!(rate(2e-3, 0.009), 3e-3);
         assert_eq!(rate(2e-3, 0.02), 2e-3);

@@ -29,5 +29,5 @@ pub use candle::CandleLearner;
 pub use fused::FusedLearner;
 pub use gaussian::{DiagonalGaussian, KlDivergence};
 pub use learner::{Learner, LearnerState, PrecisionError, learner, resolved};
-pub use loss::{Batch, Samples};
+pub use loss::{Batch, Samples, entropy_coefficient_after};
 pub use update::{UpdateFault, UpdateStatistics};

@@ -6,7 +6,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-use super::candle::{Loss, Networks};
+use super::candle::{CandleNetworks, Loss};
 #[cfg(tiles)]
 use super::fused::Tiles;
 use super::fused::team::Team;
@@ -19,33 +19,31 @@ use crate::config::{Config, LOG_STD_RANGE, LearnerKind, Ppo, Precision};
 use crate::network::{ActorCritic, Layer, PackedMlp, Scratch};
 use crate::ranks::Alone;
 
-impl Samples {
-    /// Samples a batch from a policy that differs somewhat from the one to be trained.
-    fn new(network: &ActorCritic, samples: usize, seed: u64) -> Self {
-        let rng = &mut ChaCha8Rng::seed_from_u64(seed);
-        let (inputs, actions) = (network.policy.inputs(), network.policy.outputs());
-        let critic = network.value.inputs();
-        let critic = if critic == inputs { 0 } else { critic };
-        let observations = normal(samples * inputs, 1.0, rng);
-        let mut means = vec![0.0; samples * actions];
-        PackedMlp::new(&network.policy).forward(samples, &observations, &mut means, &mut Scratch::default());
-        means.iter_mut().zip(normal(samples * actions, 0.05, rng)).for_each(|(mean, x)| *mean += x);
-        let log_std: Vec<f32> = network.log_std.iter().map(|x| x + rng.random_range(-0.1..0.1)).collect();
-        let policy = DiagonalGaussian::new(&log_std);
-        let noise = normal(samples * actions, 1.0, rng);
-        let std = log_std.iter().map(|x| x.exp()).cycle();
-        let taken: Vec<f32> = means.iter().zip(noise).zip(std).map(|((mean, x), std)| mean + std * x).collect();
-        let log_probs = means.chunks(actions).zip(taken.chunks(actions)).map(|(m, a)| policy.log_prob(m, a) as f32);
-        Self {
-            log_probs: log_probs.collect(),
-            observations,
-            critic_observations: normal(samples * critic, 1.0, rng),
-            actions: taken,
-            means,
-            log_std,
-            advantages: normal(samples, 3.0, rng),
-            returns: normal(samples, 2.0, rng),
-        }
+/// Samples a batch from a policy that differs somewhat from the one to be trained.
+fn samples(network: &ActorCritic, samples: usize, seed: u64) -> Samples {
+    let rng = &mut ChaCha8Rng::seed_from_u64(seed);
+    let (inputs, actions) = (network.policy.inputs(), network.policy.outputs());
+    let critic = network.value.inputs();
+    let critic = if critic == inputs { 0 } else { critic };
+    let observations = normal(samples * inputs, 1.0, rng);
+    let mut means = vec![0.0; samples * actions];
+    PackedMlp::new(&network.policy).forward(samples, &observations, &mut means, &mut Scratch::default());
+    means.iter_mut().zip(normal(samples * actions, 0.05, rng)).for_each(|(mean, x)| *mean += x);
+    let log_std: Vec<f32> = network.log_std.iter().map(|x| x + rng.random_range(-0.1..0.1)).collect();
+    let policy = DiagonalGaussian::new(&log_std);
+    let noise = normal(samples * actions, 1.0, rng);
+    let std = log_std.iter().map(|x| x.exp()).cycle();
+    let taken: Vec<f32> = means.iter().zip(noise).zip(std).map(|((mean, x), std)| mean + std * x).collect();
+    let log_probs = means.chunks(actions).zip(taken.chunks(actions)).map(|(m, a)| policy.log_prob(m, a) as f32);
+    Samples {
+        log_probs: log_probs.collect(),
+        observations,
+        critic_observations: normal(samples * critic, 1.0, rng),
+        actions: taken,
+        means,
+        log_std,
+        advantages: normal(samples, 3.0, rng),
+        returns: normal(samples, 2.0, rng),
     }
 }
 
@@ -110,7 +108,7 @@ fn learners(network: &ActorCritic, settings: &Ppo) -> Vec<(Box<dyn Learner>, f64
 
 /// Returns the gradient of the loss over one minibatch by automatic differentiation, in the order of
 /// [`ActorCritic::tensors`].
-fn candle_gradient(networks: &Networks, loss: &Loss) -> Vec<Vec<f64>> {
+fn candle_gradient(networks: &CandleNetworks, loss: &Loss) -> Vec<Vec<f64>> {
     let gradients = loss.total.backward().unwrap();
     networks.variables.iter().map(|variable| numbers(gradients.get(variable).unwrap())).collect()
 }
@@ -130,16 +128,16 @@ fn check_gradients<A: Arithmetic>(norm_error: f64, element_error: f64, log_std_e
     // Critics that observe as much as the policy, more (another number of 32 inputs), and less.
     let critics = [(network(), 150), (network(), 64), (network_with_critic(45), 150), (network_with_critic(7), 3)];
     for (network, rows) in critics.into_iter().chain([(network(), 3), (of_paper, 512)]) {
-        let samples = Samples::new(&network, rows + 10, 1);
+        let samples = samples(&network, rows + 10, 1);
         let order = &permutations(rows + 10, 1, 2)[0][..rows];
         let settings = settings(rows);
 
-        let networks = Networks::new(&network, DType::F64).unwrap();
+        let networks = CandleNetworks::new(&network, DType::F64).unwrap();
         let orders = [order.to_vec()];
         let loss = Loss::new(&networks, &Minibatch::all(&samples.batch(), &settings, &orders, &Alone)[0]).unwrap();
         let expected = candle_gradient(&networks, &loss);
 
-        let fused = fused::<A>(&network, settings.clone(), 1).gradient(&samples.batch(), &settings, order);
+        let fused = gradient(&fused::<A>(&network, settings.clone(), 1), &samples.batch(), &settings, order);
         for ((name, _, fused), expected) in fused.tensors().into_iter().zip(&expected) {
             let scale = norm(expected.iter().copied());
             let error = norm(fused.iter().zip(expected).map(|(&fused, expected)| f64::from(fused) - expected));
@@ -178,7 +176,7 @@ fn reference_update(
     permutations: &[Vec<u32>],
     settings: &Ppo,
 ) -> (Vec<Vec<f64>>, UpdateStatistics) {
-    let networks = Networks::new(network, DType::F64).unwrap();
+    let networks = CandleNetworks::new(network, DType::F64).unwrap();
     let mut moments: Vec<(Vec<f64>, Vec<f64>)> =
         network.tensors().iter().map(|(.., x)| (vec![0.0; x.len()], vec![0.0; x.len()])).collect();
     let scalar = |x: &Tensor| x.to_scalar::<f64>().unwrap();
@@ -236,7 +234,7 @@ fn reference_update(
 #[test]
 fn an_update_equals_the_textbook_loop() {
     let network = network();
-    let samples = Samples::new(&network, 300, 1);
+    let samples = samples(&network, 300, 1);
     let order = permutations(300, 3, 2);
     let settings = settings(128); // leaves a last minibatch of 44
 
@@ -284,7 +282,7 @@ fn any_number_of_threads_gives_the_same_bits() {
 
 fn check_threads<A: Arithmetic>() {
     let network = network();
-    let samples = Samples::new(&network, 900, 1);
+    let samples = samples(&network, 900, 1);
     let order = permutations(900, 2, 2);
     let state = |threads| {
         let mut learner = fused::<A>(&network, settings(700), threads);
@@ -309,7 +307,7 @@ fn shards_give_same_sums_for_any_number_of_threads() {
 /// Checks an update with minibatches of 8 · 88 rows, 88 being a block and a part of one.
 fn check_shards<A: Arithmetic>(tolerance: f64) {
     let network = network();
-    let samples = Samples::new(&network, 1408, 1);
+    let samples = samples(&network, 1408, 1);
     let order = permutations(1408, 2, 2);
     let state = |shards, threads| {
         let mut learner = fused::<A>(&network, Ppo { shards, ..settings(704) }, threads);
@@ -333,7 +331,7 @@ fn check_shards<A: Arithmetic>(tolerance: f64) {
 #[test]
 fn a_minibatch_that_the_shards_do_not_divide_is_refused() {
     let network = network();
-    let samples = Samples::new(&network, 64, 1);
+    let samples = samples(&network, 64, 1);
     let mut learner = fused::<Panels>(&network, Ppo { shards: 4, ..settings(32) }, 1);
     let fault = learner.update(&samples.batch(), &permutations(42, 1, 1)).unwrap_err();
     assert_eq!(fault, UpdateFault::Shards { epoch: 0, rows: 10, shards: 4 });
@@ -342,7 +340,7 @@ fn a_minibatch_that_the_shards_do_not_divide_is_refused() {
 #[test]
 fn any_instruction_set_gives_the_same_bits() {
     let network = network();
-    let samples = Samples::new(&network, 70, 1);
+    let samples = samples(&network, 70, 1);
     let order = permutations(70, 2, 2);
     let state = |change: fn(&mut Panels)| {
         let mut learner = fused::<Panels>(&network, settings(70), 1);
@@ -362,7 +360,7 @@ fn any_instruction_set_gives_the_same_bits() {
 #[test]
 fn a_restored_learner_continues_with_the_same_bits() {
     let network = network();
-    let samples = Samples::new(&network, 300, 1);
+    let samples = samples(&network, 300, 1);
     let order = permutations(300, 4, 2);
     let settings = settings(100);
 
@@ -428,7 +426,7 @@ fn linear(layer: &Layer, x: &[f64]) -> impl Iterator<Item = f64> {
 #[test]
 fn first_minibatch_has_zero_divergence() {
     let network = network();
-    let mut samples = Samples::new(&network, 64, 1);
+    let mut samples = samples(&network, 64, 1);
     PackedMlp::new(&network.policy).forward(64, &samples.observations, &mut samples.means, &mut Scratch::default());
     samples.log_std.clone_from(&network.log_std);
     for (mut learner, _) in learners(&network, &settings(64)) {
@@ -441,7 +439,7 @@ fn first_minibatch_has_zero_divergence() {
 #[test]
 fn a_nan_stops_the_update_before_its_step() {
     let network = network();
-    let mut samples = Samples::new(&network, 200, 1);
+    let mut samples = samples(&network, 200, 1);
     samples.advantages[123] = f32::NAN;
     let order = permutations(200, 1, 2);
     let faulty = order[0].iter().position(|&row| row == 123).unwrap() / 100;
@@ -467,7 +465,7 @@ fn a_nan_stops_the_update_before_its_step() {
 #[test]
 fn numbers_that_are_not_finite_or_too_large_stop_the_update() {
     let network = network();
-    let samples = Samples::new(&network, 64, 1);
+    let samples = samples(&network, 64, 1);
     let broken: [fn(&mut Samples); 3] = [
         |samples| samples.returns[7] = f32::INFINITY,
         |samples| samples.returns[7] = f32::MAX,
@@ -489,7 +487,7 @@ fn deviation_stays_in_range_and_largest_ratio_is_reported() {
     let mut network = network();
     network.log_std[0] = LOG_STD_RANGE[1] + 1.0;
     network.log_std[1] = LOG_STD_RANGE[0] - 1.0;
-    let mut samples = Samples::new(&network, 64, 1);
+    let mut samples = samples(&network, 64, 1);
     samples.log_std.clone_from(&network.log_std);
     for (mut learner, _) in learners(&network, &settings(64)) {
         let statistics = learner.update(&samples.batch(), &permutations(64, 1, 1)).unwrap();
@@ -502,7 +500,7 @@ fn deviation_stays_in_range_and_largest_ratio_is_reported() {
 #[test]
 fn a_batch_that_does_not_fit_is_refused() {
     let network = network();
-    let samples = Samples::new(&network, 64, 1);
+    let samples = samples(&network, 64, 1);
     let short = Batch { means: &samples.means[1..], ..samples.batch() };
     for (mut learner, _) in learners(&network, &settings(64)) {
         assert_eq!(
@@ -516,16 +514,14 @@ fn a_batch_that_does_not_fit_is_refused() {
     }
 }
 
-impl<A: Arithmetic> FusedLearner<A> {
-    /// Returns the gradient over one minibatch, without a step.
-    fn gradient(&self, batch: &Batch<'_>, settings: &Ppo, rows: &[u32]) -> ActorCritic {
-        let orders = [rows.to_vec()];
-        let minibatch = &Minibatch::all(batch, settings, &orders, &Alone)[0];
-        Team::run(1, |team| {
-            self.differentiate(team, &mut self.arithmetic.workspace(), minibatch, |_| ());
-        });
-        self.unpacked(|parameters| &parameters.gradient)
-    }
+/// Returns the gradient over one minibatch, without a step.
+fn gradient<A: Arithmetic>(learner: &FusedLearner<A>, batch: &Batch<'_>, settings: &Ppo, rows: &[u32]) -> ActorCritic {
+    let orders = [rows.to_vec()];
+    let minibatch = &Minibatch::all(batch, settings, &orders, &Alone)[0];
+    Team::run(1, |team| {
+        learner.differentiate(team, &mut learner.arithmetic.workspace(), minibatch, |_| ());
+    });
+    learner.unpacked(|parameters| &parameters.gradient)
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::Batch;
-use super::loss::Minibatch;
+use super::loss::{Minibatch, adapted_learning_rate};
 use crate::config::Ppo;
 use crate::network::ActorCritic;
 use crate::ranks::Ranks;
@@ -131,7 +131,7 @@ impl UpdateProgress {
     /// Determines the step of `minibatch` from its statistics, or records the fault.
     pub fn conclude(&mut self, minibatch: &Minibatch<'_>, mut summary: UpdateStatistics) {
         let Minibatch { epoch, index, rows, settings, .. } = *minibatch;
-        summary.learning_rate = settings.adapted_learning_rate(self.learning_rate, summary.kl);
+        summary.learning_rate = adapted_learning_rate(settings, self.learning_rate, summary.kl);
         if summary.is_finite() {
             self.learning_rate = summary.learning_rate;
             self.steps += 1;

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use super::{JOINTS, joint_name};
-use crate::mujoco::SizeError;
+use crate::mujoco::{self, SizeError};
 use crate::util::xml::XmlError;
 
 /// Advice on files that need a newer MuJoCo than this program's.
@@ -291,6 +291,12 @@ pub enum RobotError {
     /// The process that reads robots ended without an answer, or refused it.
     #[error("{0}")]
     Child(String),
+}
+
+impl From<mujoco::Error> for RobotError {
+    fn from(error: mujoco::Error) -> Self {
+        RobotError::Engine(error.to_string())
+    }
 }
 
 impl RobotError {

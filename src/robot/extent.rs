@@ -2,7 +2,7 @@
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
-use crate::mujoco::{Geom, Model, Shape};
+use crate::mujoco::{Geom, GeomShape, Model};
 use crate::util::numbers::maximum;
 
 /// Distances from the trunk's origin to its ends, base frame \[m\].
@@ -21,7 +21,7 @@ impl Extent {
     pub(super) fn of(model: &Model, body: usize) -> Self {
         let is_shape = |geom: &usize| model.geom_body(*geom) == body && model.geom_contact(*geom).collides();
         let shapes: Vec<Geom> =
-            (0..model.count(crate::mujoco::Kind::Geom)).filter(is_shape).map(|geom| model.geom(geom)).collect();
+            (0..model.count(crate::mujoco::Object::Geom)).filter(is_shape).map(|geom| model.geom(geom)).collect();
         let reach = |shape: &Geom, direction: Vector3<f64>| {
             Vector3::from(shape.position).dot(&direction) + half_width(shape, direction)
         };
@@ -43,12 +43,12 @@ fn half_width(shape: &Geom, direction: Vector3<f64>) -> f64 {
     let along = UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z)).inverse() * direction;
     let size = Vector3::from(shape.size);
     match shape.shape {
-        Shape::Sphere => size.x,
-        Shape::Capsule => size.x + size.y * along.z.abs(),
-        Shape::Cylinder => size.x * along.xy().norm() + size.y * along.z.abs(),
-        Shape::Ellipsoid => along.component_mul(&size).norm(),
+        GeomShape::Sphere => size.x,
+        GeomShape::Capsule => size.x + size.y * along.z.abs(),
+        GeomShape::Cylinder => size.x * along.xy().norm() + size.y * along.z.abs(),
+        GeomShape::Ellipsoid => along.component_mul(&size).norm(),
         // The sizes of a mesh are those of the box around it.
-        Shape::Box | Shape::Mesh(_) => along.abs().dot(&size),
-        Shape::Plane | Shape::HeightField(_) => 0.0,
+        GeomShape::Box | GeomShape::Mesh(_) => along.abs().dot(&size),
+        GeomShape::Plane | GeomShape::HeightField(_) => 0.0,
     }
 }

@@ -3,45 +3,42 @@
 use nalgebra::DMatrix;
 
 use super::{JOINTS, Joints, Robot, RobotError, joint_name};
-use crate::mujoco::{self, Data, Kind, Model};
+use crate::mujoco::{Data, Model, Object};
 
-impl Robot {
-    /// Returns the least inertia that any combination of the joints feels in a pose, with the trunk free and the feet in the air
-    /// [kg·m²].
-    ///
-    /// # Errors
-    /// MuJoCo fails.
-    pub fn least_inertia(&self, pose: &Joints) -> Result<f64, RobotError> {
-        let words = |error: mujoco::Error| RobotError::Engine(error.to_string());
-        let mut model = Model::from_xml(&[("robot.xml", self.mjcf())]).map_err(words)?;
-        model.set_gravity([0.0; 3]);
-        let mut joints = [(0, 0); JOINTS];
-        for (index, joint) in joints.iter_mut().enumerate() {
-            let id = model.id(Kind::Joint, &format!("{}_joint", joint_name(index))).map_err(words)?;
-            *joint = (model.joint_position_index(id), model.joint_velocity_index(id));
-        }
-        let freedoms = model.nv();
-        let mut inertia = DMatrix::from_diagonal(&model.armature().to_vec().into());
-        let mut data = Data::new(model).map_err(words)?;
-        data.positions_mut().copy_from_slice(&self.stand);
-        for ((position, _), angle) in joints.iter().zip(pose) {
-            data.positions_mut()[*position] = *angle;
-        }
-        // A column of the mass matrix is the force that a unit acceleration takes.
-        for column in 0..freedoms {
-            data.accelerations_mut().fill(0.0);
-            data.accelerations_mut()[column] = 1.0;
-            data.inverse_dynamics().map_err(words)?;
-            for (row, force) in data.inverse_forces().iter().enumerate() {
-                inertia[(row, column)] += force;
-            }
-        }
-        // Of a robot without any inertia somewhere, no rate is fast enough.
-        let Some(response) = inertia.try_inverse() else { return Ok(0.0) };
-        let of_joints = DMatrix::from_fn(JOINTS, JOINTS, |row, column| response[(joints[row].1, joints[column].1)]);
-        let fastest = ((&of_joints + of_joints.transpose()) / 2.0).symmetric_eigenvalues().max();
-        Ok(if fastest > 0.0 { 1.0 / fastest } else { 0.0 })
+/// Returns the least inertia that any combination of the joints feels in a pose, with the trunk free and the feet in the air
+/// [kg·m²].
+///
+/// # Errors
+/// MuJoCo fails.
+pub fn least_inertia(robot: &Robot, pose: &Joints) -> Result<f64, RobotError> {
+    let mut model = Model::from_xml(&[("robot.xml", robot.mjcf())])?;
+    model.set_gravity([0.0; 3]);
+    let mut joints = [(0, 0); JOINTS];
+    for (index, joint) in joints.iter_mut().enumerate() {
+        let id = model.id(Object::Joint, &format!("{}_joint", joint_name(index)))?;
+        *joint = (model.joint_position_index(id), model.joint_velocity_index(id));
     }
+    let freedoms = model.nv();
+    let mut inertia = DMatrix::from_diagonal(&model.armature().to_vec().into());
+    let mut data = Data::new(model)?;
+    data.positions_mut().copy_from_slice(&robot.stand);
+    for ((position, _), angle) in joints.iter().zip(pose) {
+        data.positions_mut()[*position] = *angle;
+    }
+    // A column of the mass matrix is the force that a unit acceleration takes.
+    for column in 0..freedoms {
+        data.accelerations_mut().fill(0.0);
+        data.accelerations_mut()[column] = 1.0;
+        data.inverse_dynamics()?;
+        for (row, force) in data.inverse_forces().iter().enumerate() {
+            inertia[(row, column)] += force;
+        }
+    }
+    // Of a robot without any inertia somewhere, no rate is fast enough.
+    let Some(response) = inertia.try_inverse() else { return Ok(0.0) };
+    let of_joints = DMatrix::from_fn(JOINTS, JOINTS, |row, column| response[(joints[row].1, joints[column].1)]);
+    let fastest = ((&of_joints + of_joints.transpose()) / 2.0).symmetric_eigenvalues().max();
+    Ok(if fastest > 0.0 { 1.0 / fastest } else { 0.0 })
 }
 
 #[cfg(test)]
@@ -51,7 +48,7 @@ mod tests {
     #[test]
     fn the_go1s_calves_are_the_lightest_that_a_joint_moves() {
         let robot = Robot::load("go1").unwrap();
-        let least = robot.least_inertia(&robot.nominal_pose).unwrap();
+        let least = least_inertia(&robot, &robot.nominal_pose).unwrap();
         // The rotor and the calf about the knee, less what the thigh gives way.
         assert!((0.005..0.0176).contains(&least), "{least}");
     }

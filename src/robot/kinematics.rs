@@ -9,7 +9,7 @@ use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
 use super::error::RobotError;
 use super::legs::{JOINTS, Joints, LEGS, PARTS, of_leg, sole_name};
-use crate::mujoco::{self, Data, Kind, Model};
+use crate::mujoco::{self, Data, Model, Object};
 use crate::util::numbers::maximum;
 
 /// Position and motion of a foot relative to the trunk.
@@ -48,12 +48,12 @@ impl FootSphere {
     /// # Errors
     /// The model has no such foot; the error lists the names that it has.
     pub fn new(model: &Model, leg: usize) -> mujoco::Result<Self> {
-        if let Ok(site) = model.id(Kind::Site, &sole_name(leg)) {
+        if let Ok(site) = model.id(Object::Site, &sole_name(leg)) {
             let (body, position) = (model.site_body(site), model.site_position(site));
             let radius_m = model.site_size(site)[0];
             return Ok(FootSphere { body, position, radius_m, centre: Centre::Site(site) });
         }
-        let geom = model.id(Kind::Geom, &format!("{}_foot", LEGS[leg]))?;
+        let geom = model.id(Object::Geom, &format!("{}_foot", LEGS[leg]))?;
         let foot = model.geom(geom);
         Ok(FootSphere { body: foot.body, position: foot.position, radius_m: foot.size[0], centre: Centre::Geom(geom) })
     }
@@ -152,15 +152,13 @@ impl Leg {
     /// Reads leg `leg` of a model with our names.
     pub(super) fn of(model: &Model, leg: usize) -> Result<Self, RobotError> {
         let name = LEGS[leg];
-        let words = |error: mujoco::Error| RobotError::Engine(error.to_string());
-        let id = |kind, name: String| model.id(kind, &name).map_err(words);
-        let trunk = id(Kind::Body, "trunk".into())?;
+        let trunk = model.id(Object::Body, "trunk")?;
         // Place and orientation of the frame walked so far.
         let (mut place, mut turn) = (Vector3::zeros(), UnitQuaternion::identity());
         let (mut links, mut axes, mut zero) = (Vec::new(), Vec::new(), [0.0; 3]);
         let mut above = trunk;
         for (part, zero) in PARTS.iter().zip(&mut zero) {
-            let joint = id(Kind::Joint, format!("{name}_{part}_joint"))?;
+            let joint = model.id(Object::Joint, &format!("{name}_{part}_joint"))?;
             walk(model, above, model.joint_body(joint), &mut place, &mut turn);
             above = model.joint_body(joint);
             let anchor = turn * Vector3::from(model.joint_anchor(joint));
@@ -170,7 +168,7 @@ impl Leg {
             axes.push(turn * Vector3::from(model.joint_axis(joint)));
             *zero = model.rest_positions()[model.joint_position_index(joint)];
         }
-        let foot = FootSphere::new(model, leg).map_err(words)?;
+        let foot = FootSphere::new(model, leg)?;
         walk(model, above, foot.body, &mut place, &mut turn);
         let along = axes[1].dot(&axes[2]);
         if axes[1].cross(&axes[2]).norm() > PARALLEL {

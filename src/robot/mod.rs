@@ -27,6 +27,7 @@ pub use extent::Extent;
 use import::Imported;
 pub use import::isolate_imports;
 pub(crate) use import::recognise;
+pub use inertia::least_inertia;
 use kinematics::bent_pose;
 pub use kinematics::{Foot, FootSphere, Leg};
 use legs::sole_name;
@@ -35,7 +36,7 @@ pub use legs::{
 };
 pub use state::{FootState, Foothold, GRAVITY_M_S2, RobotState};
 
-use crate::mujoco::{Kind, Model};
+use crate::mujoco::{Model, Object};
 use crate::util::files::{self, FileError};
 
 /// Name and MJCF of the robots inside the program.
@@ -235,12 +236,12 @@ impl Robot {
         let path = Path::new(name);
         let (fail, words) = (FileError::of(ROBOT, path), FileError::of(ROBOT, path));
         let model = Model::from_xml(&[("robot.xml", &mjcf)]).map_err(words)?;
-        let trunk = model.id(Kind::Body, "trunk").map_err(words)?;
+        let trunk = model.id(Object::Body, "trunk").map_err(words)?;
         let (mut joint_limits, mut torque_limits, mut places) = ([[0.0; 2]; JOINTS], [0.0; JOINTS], [0; JOINTS]);
         for joint in 0..JOINTS {
-            let id = model.id(Kind::Joint, &format!("{}_joint", joint_name(joint))).map_err(words)?;
+            let id = model.id(Object::Joint, &format!("{}_joint", joint_name(joint))).map_err(words)?;
             (joint_limits[joint], places[joint]) = (limits(&model, id), model.joint_position_index(id));
-            let motor = model.id(Kind::Actuator, &joint_name(joint)).map_err(words)?;
+            let motor = model.id(Object::Actuator, &joint_name(joint)).map_err(words)?;
             torque_limits[joint] = model.control_range(motor)[1];
         }
         let stand = model.numeric("stand_qpos").map_err(words)?.to_vec();
@@ -252,9 +253,9 @@ impl Robot {
             Err(_) => places.map(|place| stand[place]),
         };
         let legs = Leg::all(&model).map_err(fail)?;
-        let imu = model.id(Kind::Site, "imu").ok().filter(|site| model.site_body(*site) == trunk);
+        let imu = model.id(Object::Site, "imu").ok().filter(|site| model.site_body(*site) == trunk);
         let collides = |geom: &usize| model.geom_contact(*geom).collides();
-        let colliding = (0..model.count(Kind::Geom)).filter(collides);
+        let colliding = (0..model.count(Object::Geom)).filter(collides);
         let mut robot = Robot {
             name: name.to_owned(),
             report,
@@ -270,7 +271,7 @@ impl Robot {
             trunk: Extent::of(&model, trunk),
             fall_height_m,
             shanks_may_touch: model.numeric("shanks_may_touch").is_ok_and(|numbers| numbers == [1.0]),
-            colliding: colliding.map(|geom| model.name(Kind::Geom, geom).to_owned()).collect(),
+            colliding: colliding.map(|geom| model.name(Object::Geom, geom).to_owned()).collect(),
             joints_in_file: joints,
             mjcf,
             sha256,
@@ -294,6 +295,18 @@ impl Robot {
     /// Returns the height of the trunk's origin above the ground when it stands level on its lowest foot \[m\].
     pub fn standing_height_m(&self, pose: &Joints) -> f64 {
         kinematics::standing_height_m(&self.legs, pose)
+    }
+
+    /// Describes the values read from the robot's file and the changes made to it.
+    pub fn description(&self) -> String {
+        let height = self.standing_height_m(&self.nominal_pose);
+        let mut text = format!("{}: {:.3} kg, trunk {height:.3} m above the ground\n", self.name, self.mass_kg);
+        for line in &self.report {
+            text.push_str(&format!("  {line}\n"));
+        }
+        text.push('\n');
+        text.push_str(&joint_table(&self.nominal_pose, &self.joint_limits, &self.torque_limits));
+        text
     }
 
     /// Mirrors a joint between left and right: returns the joint that takes over its angle, and the sign. The legs of

@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use crate::estimate::external_force::Doubt;
 use crate::robot::Joints;
 use crate::task::{Command, Stage, Terms};
-pub use crate::world::{Event, EventKind, Mark, Rope, SpringState};
+pub use crate::world::{DisturbanceMark, Event, EventKind, Rope, SpringState};
 
 /// Position \[m\] and orientation (w, x, y, z) of a body, world frame.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -112,7 +112,7 @@ pub struct Frame {
     /// The felt forces, if they are observed.
     pub felt: Option<Felt>,
     /// How the disturbance that acts is drawn.
-    pub mark: Option<Mark>,
+    pub mark: Option<DisturbanceMark>,
     /// The matching stage of a training episode, for scripts with a single push.
     pub stage: Option<Stage>,
 }

@@ -4,7 +4,7 @@ use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use super::ground::Ground;
 use super::scene::GROUND;
-use crate::mujoco::{Data, Kind, Model, Result};
+use crate::mujoco::{Data, Model, Object, Result};
 use crate::robot::{FootSphere, FootState, Foothold, JOINTS, Joints, LEGS, Robot, RobotState, joint_name};
 
 /// Ids of the robot's parts in a compiled model.
@@ -33,15 +33,15 @@ impl Parts {
     /// # Errors
     /// The model lacks a part; the error lists the names that it has.
     pub fn new(model: &Model, robot: &Robot) -> Result<Self> {
-        let trunk = model.id(Kind::Body, "trunk")?;
-        let root = model.id(Kind::Joint, "root")?;
-        let joints = try_array(|k| model.id(Kind::Joint, &format!("{}_joint", joint_name(k))))?;
-        let actuators = try_array(|k| model.id(Kind::Actuator, &joint_name(k)))?;
-        let feet: [usize; 4] = try_array(|leg| model.id(Kind::Geom, &format!("{}_foot", LEGS[leg])))?;
+        let trunk = model.id(Object::Body, "trunk")?;
+        let root = model.id(Object::Joint, "root")?;
+        let joints = try_array(|k| model.id(Object::Joint, &format!("{}_joint", joint_name(k))))?;
+        let actuators = try_array(|k| model.id(Object::Actuator, &joint_name(k)))?;
+        let feet: [usize; 4] = try_array(|leg| model.id(Object::Geom, &format!("{}_foot", LEGS[leg])))?;
         let sole = |leg| FootSphere::new(model, leg);
         let in_robot = |geom| model.is_below(model.geom_body(geom), trunk);
         let is_body_part: Vec<bool> =
-            (0..model.count(Kind::Geom)).map(|geom| in_robot(geom) && !feet.contains(&geom)).collect();
+            (0..model.count(Object::Geom)).map(|geom| in_robot(geom) && !feet.contains(&geom)).collect();
         let shanks = (2..JOINTS).step_by(3).map(|knee| model.joint_body(joints[knee]));
         let shanks: Vec<usize> = if robot.shanks_may_touch { shanks.collect() } else { Vec::new() };
         let in_shank = |geom| shanks.iter().any(|shank| model.is_below(model.geom_body(geom), *shank));
@@ -56,7 +56,7 @@ impl Parts {
             actuators,
             feet,
             soles: [sole(0)?, sole(1)?, sole(2)?, sole(3)?],
-            ground: model.id(Kind::Geom, GROUND)?,
+            ground: model.id(Object::Geom, GROUND)?,
             is_body_part,
             is_high,
         })

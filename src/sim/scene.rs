@@ -17,7 +17,7 @@ use std::sync::Arc;
 
 use super::ground::{Ground, HeightField};
 use super::look;
-use crate::mujoco::{Kind, Model, Result, VERSION};
+use crate::mujoco::{Model, Object, Result, VERSION};
 use crate::robot::Robot;
 
 /// Name of the ground's geometry.
@@ -117,7 +117,7 @@ impl Scene {
         }
         if let Ground::Field(field) = &self.ground {
             let [low, high] = field.range();
-            let id = model.id(Kind::HeightField, GROUND)?;
+            let id = model.id(Object::HeightField, GROUND)?;
             let elevations = field.heights.iter().map(|height| ((height - low) / (high - low).max(1e-9)) as f32);
             model.height_field_mut(id).iter_mut().zip(elevations).for_each(|(to, from)| *to = from);
         }

@@ -16,7 +16,7 @@ use crate::ppo::LearnerState;
 use crate::train::Curriculum;
 use crate::train::environment::EnvState;
 use crate::util::files::{self, FileError};
-use crate::util::tensors::{self, Tensor, TensorError};
+use crate::util::tensors::{self, StoredTensor, TensorError};
 
 /// File of the newest checkpoint in a run's folder.
 pub const NEWEST: &str = "checkpoint.safetensors";
@@ -100,7 +100,7 @@ pub struct RunState {
     pub config: Config,
     /// Git revision of the program that wrote the checkpoint.
     pub git_revision: String,
-    /// MuJoCo that it was written with, as [`mujoco_version`](crate::util::provenance::mujoco_version) names it; empty if it
+    /// MuJoCo that it was written with, as [`mujoco_version`](crate::provenance::mujoco_version) names it; empty if it
     /// does not say.
     #[serde(default)]
     pub mujoco_version: String,
@@ -168,7 +168,7 @@ impl Checkpoint {
         let mut all = Vec::new();
         for (group, networks) in self.groups() {
             for (name, shape, values) in networks.tensors() {
-                all.push(Tensor::f32(format!("{group}.{name}"), shape, values));
+                all.push(StoredTensor::f32(format!("{group}.{name}"), shape, values));
             }
         }
         let metadata = Metadata {
@@ -177,7 +177,7 @@ impl Checkpoint {
             optimiser_steps: self.learner.steps,
             learning_rate: self.learner.learning_rate,
         };
-        all.push(Tensor::u8(RUN, run));
+        all.push(StoredTensor::u8(RUN, run));
         tensors::serialize(&all, serde_json::to_string(&metadata)?)
     }
 

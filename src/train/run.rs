@@ -30,13 +30,14 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use serde::Deserialize;
 
 use crate::config::{Config, DifferenceError};
+use crate::provenance;
 use crate::train::Trainer;
 use crate::train::checkpoint::{Checkpoint, DAMAGED, NEWEST, PREVIOUS};
 use crate::train::environment::EpisodeFault;
 use crate::train::metrics::IterationMetrics;
 use crate::train::tensorboard::EventWriter;
 use crate::util::files::{self, FileError};
-use crate::util::{provenance, terminal, yaml};
+use crate::util::{terminal, yaml};
 
 /// Maximum number of physics faults whose last second is stored; a faulty scene has thousands.
 const MAX_FAULTS: usize = 20;

@@ -58,7 +58,7 @@ impl EventWriter {
     /// Writes one record without buffering: a reader never sees half a record for long, and nothing is left to flush.
     fn write(&mut self, step: i64, wall_time: f64, what: event::What) -> io::Result<()> {
         let what = Some(what);
-        self.file.write_all(&record(&Event { wall_time, step, what }.encode_to_vec()))
+        self.file.write_all(&record(&TensorboardEvent { wall_time, step, what }.encode_to_vec()))
     }
 }
 
@@ -75,7 +75,7 @@ fn masked_crc(data: &[u8]) -> u32 {
 
 /// The message `tensorflow.Event`.
 #[derive(Clone, PartialEq, Message)]
-struct Event {
+struct TensorboardEvent {
     #[prost(double, tag = "1")]
     wall_time: f64,
     #[prost(int64, tag = "2")]
@@ -172,7 +172,7 @@ mod tests {
         let content = std::fs::read(path).unwrap();
         let length = u64::from_le_bytes(content[..8].try_into().unwrap()) as usize;
         let (first, rest) = content.split_at(length + 16);
-        let version = Event::decode(&first[12..12 + length]).unwrap();
+        let version = TensorboardEvent::decode(&first[12..12 + length]).unwrap();
         assert_eq!(version.what, Some(event::What::FileVersion("brain.Event:2".into())));
         let scalar = bytes(SCALAR_RECORD);
         assert_eq!(rest, [record(&bytes(SESSION_START)), scalar.clone(), scalar].concat());

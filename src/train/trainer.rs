@@ -21,12 +21,14 @@ use crate::mujoco;
 use crate::network::ActorCritic;
 use crate::observation::Layout;
 use crate::policy::{Policy, Provenance};
-use crate::ppo::{Learner, LearnerState, PrecisionError, Samples, UpdateFault, learner, resolved};
+use crate::ppo::{
+    Learner, LearnerState, PrecisionError, Samples, UpdateFault, entropy_coefficient_after, learner, resolved,
+};
+use crate::provenance;
 use crate::ranks::{Alone, RankError, Ranks, agree, sum_over_samples};
 use crate::robot::JOINTS;
 use crate::train::Curriculum;
 use crate::util::files::FileError;
-use crate::util::provenance;
 use crate::util::random::{Purpose, stream};
 
 /// The reason why training stopped.
@@ -246,7 +248,7 @@ impl Trainer {
         let batch = rollout.batch(&network.log_std, &advantages, &returns);
         let permutations = self.permutations(rollout.len());
         let part = self.run.samples as f64 / self.run.config.run.samples as f64;
-        self.learner.set_entropy_coefficient(ppo.entropy_coefficient_after(part));
+        self.learner.set_entropy_coefficient(entropy_coefficient_after(ppo, part));
         let images = self.mirror.as_ref().map(|mirror| mirror.doubled(&batch, &network.policy, self.threads));
         let batch = images.as_ref().map_or(batch, Samples::batch);
         let statistics = match self.learner.update(&batch, &permutations) {

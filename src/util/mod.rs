@@ -1,12 +1,11 @@
 //! Small helpers, independent of robots. Programs need [`files`] and [`terminal`] first, numerical code [`random`] and
-//! [`numbers`]; [`yaml`], [`xml`] and [`tensors`] read and write formats, [`progress`], [`provenance`]
-//! and [`memory`] serve long runs.
+//! [`numbers`]; [`yaml`], [`xml`] and [`tensors`] read and write formats, [`progress`] and [`memory`] serve long
+//! runs.
 
 pub mod files;
 pub mod memory;
 pub mod numbers;
 pub mod progress;
-pub mod provenance;
 pub mod random;
 pub mod tensors;
 pub mod terminal;

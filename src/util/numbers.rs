@@ -21,6 +21,16 @@ pub fn brief(value: f64) -> String {
     if is_usual { value.to_string() } else { format!("{value:e}") }
 }
 
+/// Formats numbers with spaces between them, as XML has them.
+pub fn spaced(numbers: &[f64]) -> String {
+    numbers.iter().map(f64::to_string).collect::<Vec<_>>().join(" ")
+}
+
+/// Formats a number without floating-point noise.
+pub fn short(value: f64) -> String {
+    ((value * 1e6).round() / 1e6).to_string()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -14,25 +14,25 @@ use serde::de::DeserializeOwned;
 const KEY: &str = "supple";
 
 /// Name, shape and values of a network's tensor.
-pub type Named = (String, Vec<usize>, Vec<f32>);
+pub type WeightTensor = (String, Vec<usize>, Vec<f32>);
 
 /// A named tensor, little-endian.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Tensor {
+pub struct StoredTensor {
     name: String,
     dtype: Dtype,
     shape: Vec<usize>,
     bytes: Vec<u8>,
 }
 
-impl Tensor {
+impl StoredTensor {
     /// Creates a tensor from single precision, row-major.
     pub fn f32(name: impl Into<String>, shape: Vec<usize>, values: &[f32]) -> Self {
         let bytes = values.iter().flat_map(|value| value.to_le_bytes()).collect();
-        Tensor { name: name.into(), dtype: Dtype::F32, shape, bytes }
+        StoredTensor { name: name.into(), dtype: Dtype::F32, shape, bytes }
     }
 
-    /// Creates tensors from the weights of a network, as [`crate::network::Mlp::tensors`] names them.
+    /// Creates tensors from the named weights of a network.
     pub fn of_network(tensors: Vec<(String, Vec<usize>, &[f32])>) -> Vec<Self> {
         tensors.into_iter().map(|(name, shape, values)| Self::f32(name, shape, values)).collect()
     }
@@ -40,12 +40,12 @@ impl Tensor {
     /// Creates a tensor from double precision, row-major.
     pub fn f64(name: impl Into<String>, shape: Vec<usize>, values: &[f64]) -> Self {
         let bytes = values.iter().flat_map(|value| value.to_le_bytes()).collect();
-        Tensor { name: name.into(), dtype: Dtype::F64, shape, bytes }
+        StoredTensor { name: name.into(), dtype: Dtype::F64, shape, bytes }
     }
 
     /// Creates a tensor from bytes, for what is too long for the metadata: a file's header has at most 100 MB.
     pub fn u8(name: impl Into<String>, bytes: Vec<u8>) -> Self {
-        Tensor { name: name.into(), dtype: Dtype::U8, shape: vec![bytes.len()], bytes }
+        StoredTensor { name: name.into(), dtype: Dtype::U8, shape: vec![bytes.len()], bytes }
     }
 }
 
@@ -91,7 +91,7 @@ pub enum TensorError {
 ///
 /// # Errors
 /// A shape does not fit its values.
-pub fn serialize(tensors: &[Tensor], json: String) -> Result<Vec<u8>, SafeTensorError> {
+pub fn serialize(tensors: &[StoredTensor], json: String) -> Result<Vec<u8>, SafeTensorError> {
     let views: Result<Vec<_>, SafeTensorError> = tensors
         .iter()
         .map(|tensor| Ok((tensor.name.as_str(), TensorView::new(tensor.dtype, tensor.shape.clone(), &tensor.bytes)?)))
@@ -139,7 +139,7 @@ pub fn read_f32(tensors: &SafeTensors<'_>, name: &str, shape: &[usize]) -> Resul
 ///
 /// # Errors
 /// A tensor has another type, or a value that is not finite.
-pub fn read_group(tensors: &SafeTensors<'_>, prefix: &str) -> Result<Vec<Named>, TensorError> {
+pub fn read_group(tensors: &SafeTensors<'_>, prefix: &str) -> Result<Vec<WeightTensor>, TensorError> {
     let mut named = Vec::new();
     for (name, view) in tensors.iter() {
         if let Some(rest) = name.strip_prefix(prefix) {

@@ -106,7 +106,7 @@ mod tests {
 
     #[derive(Debug, thiserror::Error)]
     #[error("file x: {source}")]
-    struct Named {
+    struct Wrapping {
         source: io::Error,
     }
 
@@ -126,7 +126,7 @@ mod tests {
 
     #[test]
     fn a_cause_that_the_message_has_is_not_repeated() {
-        let error = Named { source: io::Error::other("disk full") };
+        let error = Wrapping { source: io::Error::other("disk full") };
         assert_eq!(complaint(&error), "file x: disk full");
         let told = anyhow::Error::from(io::Error::other("disk full")).context("x: disk full; make room");
         assert_eq!(complaint(told.as_ref()), "x: disk full; make room");

@@ -16,7 +16,9 @@ mod tests;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-pub use disturbance::{Disturbance, Event, EventKind, Hold, Mark, Profile, Pull, Push, Rig, Rope, Spring, SpringState};
+pub use disturbance::{
+    Disturbance, DisturbanceMark, Event, EventKind, Hold, Profile, Pull, Push, Rig, Rope, Spring, SpringState,
+};
 
 use crate::config::{Reward, Simulation};
 use crate::mujoco::{Data, Error, Result};
@@ -47,7 +49,7 @@ pub struct WorldStep {
     /// The spring, if the world has one and it has begun.
     pub spring: Option<SpringState>,
     /// How what acts is drawn.
-    pub mark: Option<Mark>,
+    pub mark: Option<DisturbanceMark>,
     /// Events of the disturbances.
     pub events: Vec<Event>,
 }
@@ -241,7 +243,7 @@ impl World {
         touched: Option<usize>,
         forces: &mut StepForces,
         events: &mut Vec<Event>,
-    ) -> (Option<Rope>, Option<SpringState>, Option<Mark>) {
+    ) -> (Option<Rope>, Option<SpringState>, Option<DisturbanceMark>) {
         let (time_s, mut rope, mut spring, mut pull, mut mark) = (self.time_s(), None, None, None, None);
         for it in &mut self.disturbances {
             match it {
@@ -267,8 +269,8 @@ impl World {
             }
         }
         let push = self.last_push.filter(|(at_s, _)| time_s <= at_s + PUSH_SHOWN_S);
-        let push = push.map(|(_, change)| Mark::Push { velocity: change.into() });
-        (rope, spring, pull.map(|force| Mark::Rope { force: force.into() }).or(mark).or(push))
+        let push = push.map(|(_, change)| DisturbanceMark::Push { velocity: change.into() });
+        (rope, spring, pull.map(|force| DisturbanceMark::Rope { force: force.into() }).or(mark).or(push))
     }
 
     fn at(&self) -> StepTime {

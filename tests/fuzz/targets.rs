@@ -194,8 +194,8 @@ fn fixture(name: &str) -> Vec<u8> {
 }
 
 fn onnx_file(input: &[u8]) -> bool {
-    let Ok(network) = onnx::Network::from_bytes(input, Path::new("fuzz")) else { return false };
-    let outputs = network.forward(&vec![0.5; network.inputs()], &mut onnx::Scratch::default()).len();
+    let Ok(network) = onnx::OnnxNetwork::from_bytes(input, Path::new("fuzz")) else { return false };
+    let outputs = network.forward(&vec![0.5; network.inputs()], &mut onnx::OnnxScratch::default()).len();
     assert_eq!(outputs, network.outputs());
     true
 }

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use supple::config::Config;
-use supple::mujoco::{Kind, VERSION};
+use supple::mujoco::{Object, VERSION};
 use supple::robot::{JOINTS, Robot, joint_name};
 use supple::sim::{Conditions, Ground, Scene, Sim};
 
@@ -317,7 +317,7 @@ fn joints_without_limits_stay_without() {
     // Knees that go all around.
     let scene = Scene::flat(Arc::clone(&free), fitted.simulation.timestep_s());
     let model = scene.compile().unwrap();
-    let knee = model.id(Kind::Joint, "FR_calf_joint").unwrap();
+    let knee = model.id(Object::Joint, "FR_calf_joint").unwrap();
     assert!(!model.joint_is_limited(knee));
 }
 
@@ -487,7 +487,7 @@ fn names_and_settings_of_a_robot_stay_its_own() {
     let ground = Ground::Flat;
     let scene = Scene { obstacles: obstacles.into(), ground, ..Scene::flat(robot, 1.0 / 240.0) };
     let model = scene.compile().unwrap();
-    let mass = |name: &str| model.body_mass()[model.id(Kind::Body, name).unwrap()];
+    let mass = |name: &str| model.body_mass()[model.id(Object::Body, name).unwrap()];
     assert!(
         (mass("ball_0") - 0.02).abs() < 1e-12 && (mass("box") - 0.0335).abs() < 1e-4,
         "{} {}",
@@ -495,7 +495,7 @@ fn names_and_settings_of_a_robot_stay_its_own() {
         mass("box")
     );
     assert_eq!(mass("FR_calf"), 0.35);
-    assert!(model.id(Kind::Body, "robot/trunk").is_ok() && model.id(Kind::Body, "robot/ground").is_ok());
+    assert!(model.id(Object::Body, "robot/trunk").is_ok() && model.id(Object::Body, "robot/ground").is_ok());
     let total = Foreign { compiler: "angle='radian' settotalmass='20' coordinate='local'", ..foreign() }.robot();
     assert!((total.mass_kg - 20.0).abs() < 1e-9, "{}", total.mass_kg);
 }
@@ -615,7 +615,7 @@ fn a_urdf_is_the_robot_that_it_describes() {
     let [own, other] = [robot, foreign().robot()].map(|robot| Scene::flat(robot, 1.0 / 240.0).compile().unwrap());
     for joint in 0..JOINTS {
         let body = |model: &supple::mujoco::Model| {
-            model.joint_body(model.id(Kind::Joint, &format!("{}_joint", joint_name(joint))).unwrap())
+            model.joint_body(model.id(Object::Joint, &format!("{}_joint", joint_name(joint))).unwrap())
         };
         let (a, b) = (body(&own), body(&other));
         assert!((own.body_mass()[a] - other.body_mass()[b]).abs() < 1e-12);
@@ -654,7 +654,7 @@ fn a_urdf_is_the_robot_that_it_describes() {
         apart.report
     );
     let model = Scene::flat(apart, 1.0 / 240.0).compile().unwrap();
-    let trunk = model.id(Kind::Body, "trunk").unwrap();
+    let trunk = model.id(Object::Body, "trunk").unwrap();
     // The camera, 0.1 m up, is a part of the trunk: 0.1 · 0.1 / 8.1.
     let [x, y, z] = model.body_centre_of_mass(trunk);
     assert!((model.body_mass()[trunk] - 8.1).abs() < 1e-12, "{}", model.body_mass()[trunk]);

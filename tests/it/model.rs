@@ -4,7 +4,7 @@ use std::collections::HashSet;
 
 use rand::RngExt;
 use supple::config::Config;
-use supple::mujoco::{Data, Kind, Model};
+use supple::mujoco::{Data, Model, Object};
 use supple::robot::{JOINTS, Joints, PARTS, Robot, joint_name, same_in_every_leg};
 use supple::sim::{Conditions, Parts, Scene, Sim, StepObserver};
 use supple::util::random::{Purpose, stream};
@@ -20,7 +20,7 @@ fn model() -> Model {
 #[test]
 fn masses_are_the_manufacturers_with_rotors() {
     let model = model();
-    let mass = |name: &str| model.body_mass()[model.id(Kind::Body, name).unwrap()];
+    let mass = |name: &str| model.body_mass()[model.id(Object::Body, name).unwrap()];
     assert!((model.body_mass().iter().sum::<f64>() - 13.100_448).abs() < 1e-9);
     assert_eq!(mass("trunk"), 5.561);
     for leg in ["FR", "FL", "RR", "RL"] {
@@ -32,7 +32,7 @@ fn masses_are_the_manufacturers_with_rotors() {
 #[test]
 fn joints_come_in_unitrees_order_with_its_limits_and_no_damping() {
     let (model, robot) = (model(), Robot::load("go1").unwrap());
-    let names: Vec<String> = (1..=JOINTS).map(|joint| model.name(Kind::Joint, joint).to_owned()).collect();
+    let names: Vec<String> = (1..=JOINTS).map(|joint| model.name(Object::Joint, joint).to_owned()).collect();
     let expected: Vec<String> = (0..JOINTS).map(|joint| format!("{}_joint", joint_name(joint))).collect();
     assert_eq!(names, expected);
     for joint in 0..JOINTS {
@@ -52,7 +52,7 @@ fn joints_come_in_unitrees_order_with_its_limits_and_no_damping() {
 #[test]
 fn every_element_has_a_name() {
     for model in [scene().compile().unwrap(), scene().compile_visual().unwrap()] {
-        for kind in [Kind::Body, Kind::Joint, Kind::Geom, Kind::Site, Kind::Actuator] {
+        for kind in [Object::Body, Object::Joint, Object::Geom, Object::Site, Object::Actuator] {
             for id in 0..model.count(kind) {
                 assert!(!model.name(kind, id).is_empty(), "{kind:?} {id} has no name");
             }
@@ -117,7 +117,7 @@ fn visual_geometries_do_not_change_the_physics() {
     let (stepped, seen) = (scene().compile().unwrap(), scene().compile_visual().unwrap());
     assert_eq!(stepped.body_mass(), seen.body_mass());
     assert_eq!((stepped.nq(), stepped.nv(), stepped.nu()), (seen.nq(), seen.nv(), seen.nu()));
-    assert!(seen.count(Kind::Geom) > stepped.count(Kind::Geom));
+    assert!(seen.count(Object::Geom) > stepped.count(Object::Geom));
 }
 
 /// Robots thrown about in any pose, on ground of another friction than the model's: what the scene lists as pairs must be
@@ -184,6 +184,6 @@ fn a_broken_model_is_refused_with_mujocos_words() {
 
 #[test]
 fn a_missing_name_lists_the_names_there_are() {
-    let error = model().id(Kind::Joint, "tail_joint").unwrap_err().to_string();
+    let error = model().id(Object::Joint, "tail_joint").unwrap_err().to_string();
     assert!(error.contains("no joint named 'tail_joint'") && error.contains("FR_hip_joint"), "{error}");
 }

@@ -218,7 +218,7 @@ fn joints_lose_what_a_configuration_says_and_nothing_by_default() {
         sim.reset(conditions, &config.action.nominal_pose_rad.joints()).unwrap();
         sim.data_mut().positions_mut()[2] = 5.0;
         // A knee swings in the air.
-        let knee = sim.data().model().id(supple::mujoco::Kind::Joint, &format!("{}_joint", joint_name(2))).unwrap();
+        let knee = sim.data().model().id(supple::mujoco::Object::Joint, &format!("{}_joint", joint_name(2))).unwrap();
         let knee = sim.data().model().joint_velocity_index(knee);
         sim.data_mut().velocities_mut()[knee] = 2.0;
         sim.refresh().unwrap();

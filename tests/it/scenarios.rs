@@ -1,10 +1,10 @@
 //! One list of properties over every scenario.
 
 use clap::{FromArgMatches, Subcommand};
-use supple::mujoco::Kind;
+use supple::mujoco::Object;
 use supple::scenario::catalog::{DEFAULTS, Scenario};
 use supple::scenario::estimation::Estimation;
-use supple::scenario::trace::{EventKind, Mark, Trace};
+use supple::scenario::trace::{DisturbanceMark, EventKind, Trace};
 use supple::scenario::{Playback, Sensing};
 use supple::util::yaml::{Text, flat_parameters};
 
@@ -172,7 +172,7 @@ fn every_element_of_every_scene_has_a_name() {
     let config = standing_policy().provenance.config;
     for scenario in all() {
         let model = scenario.script(0, &config).unwrap().scene.compile_visual().unwrap();
-        for kind in [Kind::Body, Kind::Joint, Kind::Geom, Kind::Site, Kind::HeightField, Kind::Tendon] {
+        for kind in [Object::Body, Object::Joint, Object::Geom, Object::Site, Object::HeightField, Object::Tendon] {
             for id in 0..model.count(kind) {
                 assert!(!model.name(kind, id).is_empty(), "{}: {kind:?} {id} has no name", scenario.name());
             }
@@ -184,19 +184,19 @@ fn every_element_of_every_scene_has_a_name() {
 fn the_box_weighs_2_kg_and_is_a_half_metre_cube() {
     let config = standing_policy().provenance.config;
     let model = scenario("box", &[]).script(0, &config).unwrap().scene.compile().unwrap();
-    let body = model.id(Kind::Body, "box").unwrap();
+    let body = model.id(Object::Body, "box").unwrap();
     assert_eq!(model.body_mass()[body], 2.0);
-    assert_eq!(model.geom(model.id(Kind::Geom, "box").unwrap()).size, [0.25; 3]);
+    assert_eq!(model.geom(model.id(Object::Geom, "box").unwrap()).size, [0.25; 3]);
 }
 
 #[test]
 fn the_ball_pit_has_400_balls_of_half_a_kilogram_3_cm_apart() {
     let config = standing_policy().provenance.config;
     let model = scenario("ball-pit", &[]).script(0, &config).unwrap().scene.compile().unwrap();
-    let balls: Vec<usize> = (0..400).map(|ball| model.id(Kind::Body, &format!("ball_{ball}")).unwrap()).collect();
-    assert!(model.id(Kind::Body, "ball_400").is_err());
+    let balls: Vec<usize> = (0..400).map(|ball| model.id(Object::Body, &format!("ball_{ball}")).unwrap()).collect();
+    assert!(model.id(Object::Body, "ball_400").is_err());
     assert!(balls.iter().all(|ball| model.body_mass()[*ball] == 0.5));
-    let geom = |ball: usize| model.geom(model.id(Kind::Geom, &format!("ball_{ball}")).unwrap());
+    let geom = |ball: usize| model.geom(model.id(Object::Geom, &format!("ball_{ball}")).unwrap());
     assert_eq!(geom(0).size[0], 0.05);
 }
 
@@ -218,7 +218,7 @@ fn odd_numbers_of_balls_and_strong_leashes_do_not_crash() {
     for balls in [0, 1, 1000] {
         let pit = scenario("ball-pit", &["--duration-s=0.2", &format!("--balls={balls}")]);
         let model = pit.script(0, &standing_policy().provenance.config).unwrap().scene.compile().unwrap();
-        let found = (0..model.count(Kind::Body)).filter(|body| model.name(Kind::Body, *body).starts_with("ball_"));
+        let found = (0..model.count(Object::Body)).filter(|body| model.name(Object::Body, *body).starts_with("ball_"));
         assert_eq!((found.count(), trace(&pit, 0).frames.len()), (balls, 12));
     }
     for force in ["--force-n=50", "--force-n=500"] {
@@ -237,7 +237,7 @@ fn a_leash_that_is_led_away_gets_taut_and_pulls_where_it_leads() {
     for frame in &trace.frames {
         let force_n = frame.spring.map_or(0.0, |spring| spring.force_n);
         assert!(force_n == 0.0 || frame.time_s + 1e-9 >= taut.time_s, "{}", frame.time_s);
-        let pull = Mark::Rope { force: [force_n * 90.0_f64.to_radians().cos(), force_n, 0.0] };
+        let pull = DisturbanceMark::Rope { force: [force_n * 90.0_f64.to_radians().cos(), force_n, 0.0] };
         assert_eq!(frame.mark, (force_n > 0.0).then_some(pull));
     }
     // At the end 200 N/m · 0.15 m + 20 N·s/m · 0.5 m/s, less what the robot gives way.
@@ -254,7 +254,7 @@ fn a_wall_stops_a_robot_that_walks_into_it_where_it_stands() {
     let met = trace.events.iter().find(|event| event.text == "meets the wall").unwrap();
     let first = trace.frames.iter().find(|frame| frame.time_s > met.time_s - 1e-9).unwrap();
     assert!((first.position[0] - 1.0).abs() < 0.03, "{first:?}");
-    let Some(Mark::Press { force }) = first.mark else { panic!("{:?}", first.mark) };
+    let Some(DisturbanceMark::Press { force }) = first.mark else { panic!("{:?}", first.mark) };
     assert!(force[0] < 0.0 && force[1].abs() < 1e-9 && force[2] == 0.0, "{force:?}");
     let metrics = wall.metrics(&script, &trace);
     let of = |name: &str| metrics.iter().find(|metric| metric.name == name).unwrap().value.unwrap();

@@ -1,9 +1,9 @@
 //! External policies and imported robots, and policies of ours that travel.
 
 use supple::config::Config;
-use supple::mujoco::{Kind, VERSION};
+use supple::mujoco::{Object, VERSION};
 use supple::policy::external::describe;
-use supple::policy::{Agent, Buffers};
+use supple::policy::{Agent, InferenceBuffers};
 use supple::policy::{onnx, shipped};
 use supple::robot::Robot;
 use supple::scenario::Playback;
@@ -89,9 +89,9 @@ fn import_report_lists_what_was_left_out() {
         assert!((model.body_mass().iter().sum::<f64>() - 12.8).abs() < 1e-9);
         assert!(model.damping().iter().chain(model.friction_loss()).all(|value| *value == 0.0));
         assert!(model.armature()[6..].iter().all(|value| *value == 0.01));
-        assert_eq!(model.count(Kind::Actuator), 12);
+        assert_eq!(model.count(Object::Actuator), 12);
         assert_eq!(model.control_range(2), [-35.5, 35.5]);
-        let foot = model.geom_contact(model.id(Kind::Geom, "RL_foot").unwrap());
+        let foot = model.geom_contact(model.id(Object::Geom, "RL_foot").unwrap());
         // MuJoCo 3 has masks of zero where only listed pairs touch.
         assert_eq!((foot.contype, foot.conaffinity, foot.priority), if VERSION < 300 { (1, 2, 0) } else { (0, 0, 0) });
     }
@@ -105,8 +105,8 @@ fn defaults_of_a_robots_file_do_not_reach_the_rest_of_the_scene() {
     let path = folder.path().join("robot.xml");
     std::fs::write(&path, xml.replacen("<default>", "<default><geom group=\"5\" solref=\"0.5 1\"/>", 1)).unwrap();
     let model = Scene::flat(Robot::load(path.to_str().unwrap()).unwrap(), 1.0 / 240.0).compile().unwrap();
-    assert_eq!(model.geom(model.id(Kind::Geom, "ground").unwrap()).group, 0);
-    assert_eq!(model.geom(model.id(Kind::Geom, "FR_foot").unwrap()).group, 3);
+    assert_eq!(model.geom(model.id(Object::Geom, "ground").unwrap()).group, 0);
+    assert_eq!(model.geom(model.id(Object::Geom, "FR_foot").unwrap()).group, 3);
 }
 
 #[test]
@@ -151,7 +151,7 @@ fn the_angles_of_a_robots_file_turn_nothing_else() {
         let mut config = Config::load("compliant").unwrap();
         config.robot.model = path.to_str().unwrap().to_owned();
         let model = scenarios::scenario("rubble", &[]).script(0, &config).unwrap().scene.compile().unwrap();
-        let first = model.joint_position_index(model.id(Kind::Joint, "mat_0").unwrap());
+        let first = model.joint_position_index(model.id(Object::Joint, "mat_0").unwrap());
         model.rest_positions()[first + 3..first + 7].to_vec()
     });
     assert!(mats[0] == mats[1] && mats[0][3].abs() > 0.1, "{mats:?}");
@@ -224,7 +224,7 @@ fn external_policy_is_shown_verified_and_run() {
 
     // As the policy acts in a program.
     let agent = Agent::load(&folder.path().join("rsl_rl.yaml")).unwrap();
-    let expected = agent.inference().joint_targets(&[0.5; 48], &mut Buffers::default());
+    let expected = agent.inference().joint_targets(&[0.5; 48], &mut InferenceBuffers::default());
     let command = format!("echo '{:?}' | {} run rsl_rl.yaml", [0.5; 48], crate::support::program("policy"));
     let output = std::process::Command::new("sh").args(["-c", &command]).current_dir(folder.path()).output().unwrap();
     assert_eq!(serde_json::from_slice::<[f64; 12]>(&output.stdout).unwrap(), expected);

@@ -4,8 +4,8 @@ use super::VideoError;
 use crate::marks::{self, Arrow};
 use crate::style::{BLUE, CAMERA_LAG_S, GREY, PURPLE, PUSH_SHOWN_S, Rgb, VERMILLION, YELLOW};
 use crate::{RobotView, geometry};
-use supple::mujoco::{Camera, Kind, Mark, MarkShape, Renderer};
-use supple::scenario::trace::{Frame, Mark, Pose, Trace};
+use supple::mujoco::{Camera, Mark, MarkShape, Object, Renderer};
+use supple::scenario::trace::{DisturbanceMark, Frame, Pose, Trace};
 
 /// Length of the arrows of pulls and felt forces [m/N]; longer than in recordings, as there is no zoom.
 const METRES_PER_NEWTON: f64 = 1.0 / 80.0;
@@ -42,7 +42,7 @@ impl<'a> View<'a> {
         for (geom, rgba) in geometry::colours(&model, robot.tint)?.into_iter().enumerate() {
             model.set_look(geom, rgba.unwrap_or_default(), rgba.is_some());
         }
-        let bodies = model.count(Kind::Body);
+        let bodies = model.count(Object::Body);
         Ok(View { robot: *robot, trace, renderer: Renderer::new(model, size)?, bodies, looked_at: None })
     }
 
@@ -108,16 +108,16 @@ fn disturbance(past: &[Frame]) -> Vec<Mark> {
     let trunk = frame.position;
     let mut marks = Vec::new();
     match frame.mark {
-        Some(Mark::Rope { force }) => {
+        Some(DisturbanceMark::Rope { force }) => {
             let pull = marks::pull(trunk, force, METRES_PER_NEWTON);
             marks.extend([rod(trunk, pull.0, 0.006, YELLOW), arrow(pull, 0.016, VERMILLION)]);
         }
-        Some(Mark::Press { force }) => marks.push(arrow(marks::press(trunk, force), 0.016, VERMILLION)),
+        Some(DisturbanceMark::Press { force }) => marks.push(arrow(marks::press(trunk, force), 0.016, VERMILLION)),
         _ => {}
     }
     let is_recent = |earlier: &&Frame| earlier.time_s > frame.time_s - PUSH_SHOWN_S;
     let push = past.iter().rev().take_while(is_recent).find_map(|earlier| match earlier.disturbance {
-        Some(Mark::Push { velocity }) => Some(velocity),
+        Some(DisturbanceMark::Push { velocity }) => Some(velocity),
         _ => None,
     });
     marks.extend(push.map(|velocity| arrow(marks::push(trunk, velocity), 0.016, VERMILLION)));

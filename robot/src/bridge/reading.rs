@@ -2,9 +2,8 @@
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use supple::estimate::{EncoderReading, ImuReading};
-use supple::robot::{JOINTS, Joints, joint_name};
+use supple::robot::{JOINTS, Joints};
 
-use super::safety::Fault;
 use crate::message::{HEAD, LowState, crc};
 use crate::remote::Remote;
 
@@ -85,22 +84,6 @@ impl Reading {
         state.crc == 0
     }
 
-    /// Checks that all numbers are finite.
-    ///
-    /// # Errors
-    /// A number is not finite; the fault names it.
-    pub fn check(&self) -> Result<(), Fault> {
-        let fault = |what: String| Err(Fault::NotFinite { what });
-        self.imu.check().and_then(|()| self.encoders.check()).or_else(|error| fault(error.to_string()))?;
-        if let Some(joint) = self.torques.iter().position(|torque| !torque.is_finite()) {
-            return fault(format!("torque of {}", joint_name(joint)));
-        }
-        if !self.world_from_base.coords.iter().all(|value| value.is_finite()) {
-            return fault("quaternion of the IMU".to_owned());
-        }
-        Ok(())
-    }
-
     /// Returns the angle between the trunk's up and the world's \[rad\].
     pub fn tilt_rad(&self) -> f64 {
         (self.world_from_base * Vector3::z()).z.clamp(-1.0, 1.0).acos()
@@ -135,13 +118,5 @@ pub(super) mod tests {
         flipped.motor_state[3].q = f32::from_bits(flipped.motor_state[3].q.to_bits() ^ 1);
         assert!(matches!(Reading::new(&flipped), Err(Ignored::Checksum { .. })));
         assert!(Reading::new(&LowState { crc: 0, ..flipped }).is_ok());
-    }
-
-    #[test]
-    fn number_that_is_not_finite_is_named() {
-        let mut state = state_at(&[0.1; JOINTS], 2);
-        state.motor_state[7].dq = f32::NAN;
-        let fault = Reading::new(&state.sealed()).unwrap().check().unwrap_err();
-        assert!(fault.to_string().contains("RR_thigh"), "{fault}");
     }
 }

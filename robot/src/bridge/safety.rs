@@ -178,7 +178,7 @@ impl Guard {
     /// # Errors
     /// The first limit that is exceeded.
     pub fn check(&mut self, reading: &Reading, dt_s: f64) -> Result<(), Fault> {
-        reading.check()?;
+        check_finite(reading)?;
         let limits = &self.limits;
         let tilt_rad = reading.tilt_rad();
         if tilt_rad > limits.tilt_rad {
@@ -244,6 +244,19 @@ impl Guard {
     }
 }
 
+/// Checks that all numbers of a reading are finite; the fault names the first that is not.
+fn check_finite(reading: &Reading) -> Result<(), Fault> {
+    let fault = |what: String| Err(Fault::NotFinite { what });
+    reading.imu.check().and_then(|()| reading.encoders.check()).or_else(|error| fault(error.to_string()))?;
+    if let Some(joint) = reading.torques.iter().position(|torque| !torque.is_finite()) {
+        return fault(format!("torque of {}", joint_name(joint)));
+    }
+    if !reading.world_from_base.coords.iter().all(|value| value.is_finite()) {
+        return fault("quaternion of the IMU".to_owned());
+    }
+    Ok(())
+}
+
 #[cfg(test)]
 mod tests {
     use supple::robot::Robot;
@@ -283,6 +296,12 @@ mod tests {
         assert!(matches!(broken, Err(Fault::NotFinite { .. })), "{broken:?}");
         // Simulators have no battery.
         assert_eq!(checked(|it| (it.bms_state.soc, it.bms_state.cell_vol[0]) = (0, 0)), Ok(()));
+    }
+
+    #[test]
+    fn number_that_is_not_finite_is_named() {
+        let fault = checked(|it| it.motor_state[7].dq = f32::NAN).unwrap_err();
+        assert!(fault.to_string().contains("RR_thigh"), "{fault}");
     }
 
     #[test]

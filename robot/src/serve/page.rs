@@ -177,7 +177,7 @@ mod tests {
     use supple::robot::JOINTS;
     use supple::scenario::catalog::Scenario;
     use supple::scenario::session::PushUnit;
-    use supple::scenario::trace::Mark;
+    use supple::scenario::trace::DisturbanceMark;
     use supple_drive::driver::SILENCE;
 
     use super::*;
@@ -214,7 +214,7 @@ mod tests {
         assert!(frame.velocity_in_heading[1] > 0.3, "{:?}", frame.velocity_in_heading);
         assert_eq!(page.command(), Command::velocity(1.0, 0.0, -0.25));
         let force_n = match frame.mark {
-            Some(Mark::Rope { force }) => force.iter().map(|part| part * part).sum::<f64>().sqrt(),
+            Some(DisturbanceMark::Rope { force }) => force.iter().map(|part| part * part).sum::<f64>().sqrt(),
             other => panic!("{other:?}"),
         };
         assert!((force_n - MOST_PULL_N).abs() < 1e-9, "{force_n}");
@@ -226,7 +226,7 @@ mod tests {
 
         std::thread::sleep(SILENCE + Duration::from_millis(50));
         let mark = play(&mut page, 20).mark;
-        assert!(!matches!(mark, Some(Mark::Rope { .. })), "{mark:?}");
+        assert!(!matches!(mark, Some(DisturbanceMark::Rope { .. })), "{mark:?}");
         assert_eq!(page.command(), Command::default());
     }
 }

@@ -11,9 +11,9 @@ use anyhow::Context;
 use clap::{Parser, Subcommand, ValueEnum};
 use nalgebra::Vector3;
 use supple::config::Config;
-use supple::observation::Command as Velocity;
+use supple::observation::Command;
 use supple::policy::compliance::{CompliantObservations, PolicyCalibration};
-use supple::policy::{Agent, Buffers, Controller as _, Provenance};
+use supple::policy::{Agent, Controller as _, InferenceBuffers, Provenance};
 use supple::policy::{external, onnx, shipped};
 use supple::robot::{GRAVITY_M_S2, JOINTS, Joints, Robot, RobotState, joint_name};
 use supple::scenario::calibration::calibrate;
@@ -22,14 +22,14 @@ use supple::util::terminal;
 
 /// Show a policy, check it, export it.
 #[derive(Parser)]
-#[command(name = env!("CARGO_BIN_NAME"), version = supple::util::provenance::version())]
+#[command(name = env!("CARGO_BIN_NAME"), version = supple::provenance::version())]
 struct Args {
     #[command(subcommand)]
-    command: Command,
+    command: PolicyCommand,
 }
 
 #[derive(Subcommand)]
-enum Command {
+enum PolicyCommand {
     /// List the policies that ship with this program
     List,
     /// Print what the policy observes, what its outputs mean and how it was trained
@@ -112,7 +112,7 @@ enum Command {
         policy: String,
         /// Format to write
         #[arg(long, value_enum)]
-        format: Format,
+        format: ExportFormat,
         /// File to write, `-` for standard output
         #[arg(long)]
         out: PathBuf,
@@ -126,7 +126,7 @@ const MAX_LINE_BYTES: u64 = 1 << 20;
 const MAX_DESCRIPTION_BYTES: u64 = 1 << 20;
 
 #[derive(ValueEnum, Clone, Copy)]
-enum Format {
+enum ExportFormat {
     /// One graph from raw observation to joint targets, and a YAML file that describes both
     Onnx,
 }
@@ -137,9 +137,9 @@ fn main() -> ExitCode {
     terminal::conclude(run(Args::parse().command))
 }
 
-fn run(command: Command) -> anyhow::Result<()> {
+fn run(command: PolicyCommand) -> anyhow::Result<()> {
     match command {
-        Command::Show { policy: name, json } => {
+        PolicyCommand::Show { policy: name, json } => {
             let agent = shipped::find_uncalibrated(&name)?;
             terminal::print(match (agent.policy(), json) {
                 (Some(policy), true) => format!("{}\n", policy.metadata_json()),
@@ -148,7 +148,7 @@ fn run(command: Command) -> anyhow::Result<()> {
                 (None, false) => show::external_description(&name, &agent),
             })?;
         }
-        Command::Verify { policy: name, config, set, samples } => {
+        PolicyCommand::Verify { policy: name, config, set, samples } => {
             // Reading a policy checks everything in it, the golden pairs included.
             let agent = shipped::find_uncalibrated(&name)?;
             let Some(policy) = agent.policy() else {
@@ -169,7 +169,7 @@ fn run(command: Command) -> anyhow::Result<()> {
             anyhow::ensure!(learnt >= samples, "{name} has learnt from {learnt} samples, expected {samples} or more");
             terminal::print(format_args!("sound: its golden joint targets are reproduced; sha256 {sha256}\n"))?;
         }
-        Command::Calibrate { policy, threads, out } => {
+        PolicyCommand::Calibrate { policy, threads, out } => {
             let threads =
                 threads.map_or_else(|| std::thread::available_parallelism().map_or(1, usize::from), usize::from);
             let mut agent = shipped::find_uncalibrated(&policy)?;
@@ -180,22 +180,24 @@ fn run(command: Command) -> anyhow::Result<()> {
             write(&out, format!("{}\n", serde_json::to_string_pretty(&calibration)?).as_bytes())?;
             terminal::print(calibration_table(&calibration))?;
         }
-        Command::Robot { robot: name, config } => {
+        PolicyCommand::Robot { robot: name, config } => {
             let (robot, config) = (Robot::load(&name)?, Config::load(&config)?);
             let fitted = config.fitted_to(&robot)?;
             terminal::print(format_args!("{}\n{}", robot.description(), config.changes(&fitted)))?;
         }
-        Command::Run { policy: name, compliance } => {
+        PolicyCommand::Run { policy: name, compliance } => {
             let agent = shipped::find(&name)?;
             let compliance = agent.resolve_compliance(None, compliance).with_context(|| name.clone())?;
             let compliant = compliance
                 .map(|compliance| CompliantObservations::new(&agent, compliance).with_context(|| name.clone()));
             answer(&agent, compliant.transpose()?)?;
         }
-        Command::List => list()?,
-        Command::Describe { source, onnx, robot, out } => describe::describe(&source, onnx, robot.as_deref(), &out)?,
-        Command::Card { policy, name } => terminal::print(card::card(&policy, name.as_deref())?)?,
-        Command::Export { policy, format: Format::Onnx, out } => {
+        PolicyCommand::List => list()?,
+        PolicyCommand::Describe { source, onnx, robot, out } => {
+            describe::describe(&source, onnx, robot.as_deref(), &out)?
+        }
+        PolicyCommand::Card { policy, name } => terminal::print(card::card(&policy, name.as_deref())?)?,
+        PolicyCommand::Export { policy, format: ExportFormat::Onnx, out } => {
             let calibration = shipped::find(&policy)?.calibration;
             let (policy, name) = (shipped::find_ours(&policy)?, out.file_name().unwrap_or_default());
             // What `scenario` needs to run the network again, and what tells others how to use it.
@@ -231,7 +233,7 @@ fn verify_external(name: &str, agent: &Agent) -> anyhow::Result<()> {
         ..RobotState::default()
     };
     controller.begin(&state);
-    check_finite(&controller.joint_targets(&state, &Velocity::default())).with_context(|| name.to_owned())?;
+    check_finite(&controller.joint_targets(&state, &Command::default())).with_context(|| name.to_owned())?;
     terminal::print(format_args!(
         "it fits its description, and its joint targets for a robot that stands are finite; it has no golden ones to compare \
          with, `policy show` prints how it is understood; sha256 {}\n",
@@ -300,7 +302,7 @@ fn answer(agent: &Agent, mut compliant: Option<CompliantObservations>) -> anyhow
         force_n: [f64; 2],
     }
     let inference = agent.inference();
-    let (mut buffers, length) = (Buffers::default(), inference.layout.length());
+    let (mut buffers, length) = (InferenceBuffers::default(), inference.layout.length());
     for (index, line) in files::lines(std::io::stdin().lock(), MAX_LINE_BYTES).enumerate() {
         let line = line.with_context(|| format!("standard input, line {}", index + 1))?;
         let expected = match compliant {

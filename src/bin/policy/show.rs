@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use supple::config::Simulation;
-use supple::policy::{Action, Agent, Inference, Meaning, Policy};
+use supple::policy::{Agent, Inference, JointPositionAction, Meaning, Policy};
 use supple::robot::{JOINTS, Robot, joint_name, joint_names, joint_table};
 
 /// Describes a policy file of Supple.
@@ -52,7 +52,7 @@ pub fn description(policy: &Policy) -> String {
 /// Describes an external policy as it is understood: every number that it sees, and every joint in the order of its outputs.
 pub fn external_description(name: &str, agent: &Agent) -> String {
     let Inference { layout, action, .. } = agent.inference();
-    let Action { nominal_pose, meaning, scale_rad, clip } = action;
+    let JointPositionAction { nominal_pose, meaning, scale_rad, clip } = action;
     let offset = match meaning {
         Meaning::OffsetFromNominal => "nominal + ",
         Meaning::JointAngle => "",

@@ -24,7 +24,7 @@ use supple::util::terminal::{self, shell_word};
 /// Metrics go to DIR/metrics.jsonl and to TensorBoard event files in DIR, the policy to DIR/policy.safetensors.
 /// Ctrl-C finishes the iteration, writes a checkpoint and says how to go on; a second one stops at once.
 #[derive(Parser)]
-#[command(name = env!("CARGO_BIN_NAME"), version = supple::util::provenance::version())]
+#[command(name = env!("CARGO_BIN_NAME"), version = supple::provenance::version())]
 struct Args {
     /// Configuration: fast, fast-baseline, compliant, baseline, real, go2, go2-baseline, go2-real, or a YAML file;
     /// with --resume, the one that the run must have [default: fast]

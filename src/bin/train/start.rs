@@ -5,12 +5,12 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use supple::config::Config;
+use supple::provenance::{git_revision, mujoco_version};
 use supple::ranks::{Alone, RankError, Ranks, agree};
 use supple::robot::Robot;
 use supple::train::checkpoint::Checkpoint;
 use supple::train::run::RunFolder;
 use supple::train::{MemoryEstimate, TrainError, Trainer};
-use supple::util::provenance::{git_revision, mujoco_version};
 use supple::util::{files, terminal};
 
 use super::Args;

@@ -1,8 +1,8 @@
 //! Training data for the contact network: encoder readings, and which feet stand, while a policy walks on different ground and is pushed.
 
 use rand::RngExt;
-use supple::estimate::contact::History;
-use supple::estimate::contact::learn::Samples;
+use supple::estimate::contact::ContactHistory;
+use supple::estimate::contact::learn::ContactSamples;
 use supple::estimate::{EncoderReading, SensorNoise, Sensors};
 use supple::mujoco::Data;
 use supple::policy::Agent;
@@ -45,7 +45,7 @@ const LEAST_FORWARD_M_S: f64 = 0.3;
 ///
 /// # Errors
 /// The observation does not fit the robot, or MuJoCo fails.
-pub fn episode(agent: &Agent, noise: SensorNoise, seed: u64, which: [u64; 2]) -> anyhow::Result<Samples> {
+pub fn episode(agent: &Agent, noise: SensorNoise, seed: u64, which: [u64; 2]) -> anyhow::Result<ContactSamples> {
     let mut config = agent.config.clone();
     config.randomisation.enabled = true;
     let mut rng = stream(seed, Purpose::Episode, which[0], which[1]);
@@ -71,14 +71,14 @@ pub fn episode(agent: &Agent, noise: SensorNoise, seed: u64, which: [u64; 2]) ->
     sim.reset(plan.conditions, &controller.rest())?;
     controller.begin(&sim.state());
     let mut sensor_rng = stream(seed, Purpose::Sensor, which[0], which[1]);
-    let mut tap = Tap {
+    let mut recorder = SampleRecorder {
         sensors: Sensors::new(noise, &mut sensor_rng),
         rng: sensor_rng,
         offsets: plan.conditions.encoder_bias,
         target: controller.rest(),
-        history: History::default(),
+        history: ContactHistory::default(),
         velocities: [[0.0; 3]; 4],
-        samples: Samples::default(),
+        samples: ContactSamples::default(),
     };
     let mut felt_force = [0.0; 2];
     for step in 0..simulation.policy_steps(EPISODE_S) {
@@ -87,32 +87,32 @@ pub fn episode(agent: &Agent, noise: SensorNoise, seed: u64, which: [u64; 2]) ->
         }
         let mut state = sim.state();
         state.felt_force = Some(std::mem::take(&mut felt_force));
-        tap.target = controller.joint_targets(&state, &plan.command);
+        recorder.target = controller.joint_targets(&state, &plan.command);
         if let (true, Some(push)) = (step == push_step, plan.push()) {
             // As in training: a force for one step, of which the policy learns after it.
             felt_force = push.linear.map(|speed| speed * sim.robot().mass_kg / simulation.policy_period_s());
             sim.push(push.linear, push.angular)?;
         }
-        if sim.step(&tap.target.clone(), &mut tap)?.fall.is_some() {
+        if sim.step(&recorder.target.clone(), &mut recorder)?.fall.is_some() {
             break;
         }
     }
-    Ok(tap.samples)
+    Ok(recorder.samples)
 }
 
 /// An observer that reads encoders, and which feet stand, in every physics step.
-struct Tap<R> {
+struct SampleRecorder<R> {
     sensors: Sensors,
     rng: R,
     offsets: Joints,
     target: Joints,
-    history: History,
+    history: ContactHistory,
     /// Velocity of each foot, world frame [m/s].
     velocities: [[f64; 3]; 4],
-    samples: Samples,
+    samples: ContactSamples,
 }
 
-impl<R: rand::Rng> StepObserver for Tap<R> {
+impl<R: rand::Rng> StepObserver for SampleRecorder<R> {
     fn forces(&mut self, data: &Data, parts: &Parts, _: &Joints) {
         let exact = EncoderReading::exact(&parts.joint_angles(data), parts.joint_rates(data), &self.offsets);
         let reading = self.sensors.encoders(&exact, data.model().timestep_s(), &mut self.rng);

@@ -9,16 +9,16 @@ use std::process::ExitCode;
 use anyhow::Context;
 use clap::Parser;
 use supple::estimate::SensorNoise;
-use supple::estimate::contact::learn::{Learning, Samples, learn};
+use supple::estimate::contact::learn::{ContactSamples, Learning, learn};
 use supple::estimate::contact::score::Confusion;
 use supple::estimate::contact::{ContactNetwork, ContactProvenance, HeldOut, INPUTS, PolicySource, RATE_HZ};
 use supple::network::Scratch;
 use supple::policy::Agent;
 use supple::policy::shipped;
+use supple::provenance::{git_revision, mujoco_version};
 use supple::robot::LEGS;
 use supple::util::files::Target;
 use supple::util::progress::progress;
-use supple::util::provenance::{git_revision, mujoco_version};
 use supple::util::terminal;
 
 /// One in this number of episodes is held out.
@@ -29,7 +29,7 @@ const HELD_OUT: u32 = 5;
 /// Policies walk or stand at random commands, on slopes, among balls and over blocks and mats, with random friction, and are pushed;
 /// the network learns from joint angles, rates and targets with sensor noise which feet touch something and hardly move. Scores are of episodes that it was not trained on.
 #[derive(Parser)]
-#[command(name = env!("CARGO_BIN_NAME"), version = supple::util::provenance::version())]
+#[command(name = env!("CARGO_BIN_NAME"), version = supple::provenance::version())]
 struct Args {
     /// Policy to gather data from: file, run folder or name of a shipped one; may be given several times [default: all
     /// that ship]
@@ -123,7 +123,7 @@ fn gather(
     names: &[String],
     policies: &[Agent],
     noise: SensorNoise,
-) -> anyhow::Result<(Vec<Samples>, Vec<Samples>)> {
+) -> anyhow::Result<(Vec<ContactSamples>, Vec<ContactSamples>)> {
     let bar = progress(policies.len() as u64 * u64::from(args.episodes));
     bar.set_message("walking");
     let (mut training, mut held_out) = (Vec::new(), Vec::new());
@@ -140,8 +140,8 @@ fn gather(
     Ok((training, held_out))
 }
 
-fn join(episodes: &[Samples]) -> Samples {
-    let mut all = Samples::default();
+fn join(episodes: &[ContactSamples]) -> ContactSamples {
+    let mut all = ContactSamples::default();
     for episode in episodes {
         all.inputs.extend(&episode.inputs);
         all.labels.extend(&episode.labels);
@@ -155,7 +155,7 @@ fn sources(names: &[String], policies: &[Agent]) -> Vec<PolicySource> {
 }
 
 /// Computes the scores of each foot in held-out episodes, with the network used as in deployment.
-fn scores(network: &ContactNetwork, episodes: &[Samples]) -> anyhow::Result<Vec<HeldOut>> {
+fn scores(network: &ContactNetwork, episodes: &[ContactSamples]) -> anyhow::Result<Vec<HeldOut>> {
     let mut confusions = [Confusion::default(); 4];
     let (all, mut scratch) = (join(episodes), Scratch::default());
     for (inputs, labels) in all.inputs.as_chunks::<INPUTS>().0.iter().zip(all.labels.as_chunks::<4>().0) {

@@ -9,7 +9,7 @@ use crate::util::random::{Purpose, stream};
 
 /// Training samples: inputs with their labels.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Samples {
+pub struct ContactSamples {
     /// Inputs in physical units, shape (n, inputs), row-major.
     pub inputs: Vec<f32>,
     /// Labels, shape (n, outputs), row-major: 1 for contact, 0 for none.
@@ -54,7 +54,7 @@ pub struct Learnt {
 /// # Errors
 /// Candle fails, for example because the samples do not have these shapes.
 pub fn learn(
-    samples: &Samples,
+    samples: &ContactSamples,
     [inputs, outputs]: [usize; 2],
     learning: &Learning,
     mut progress: impl FnMut(usize, f64),
@@ -152,9 +152,9 @@ mod tests {
 
     /// Draws two numbers of very different size and a third that never changes; labels: the first above 3, an exclusive
     /// or.
-    fn separable(count: usize) -> Samples {
+    fn separable(count: usize) -> ContactSamples {
         let mut rng = stream(7, Purpose::Episode, 0, 0);
-        let mut samples = Samples::default();
+        let mut samples = ContactSamples::default();
         for _ in 0..count {
             let (a, b): (f32, f32) = (rng.random_range(2.0..4.0), rng.random_range(-1e-3..1e-3));
             samples.inputs.extend([a, b, 5.0]);

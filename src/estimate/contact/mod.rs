@@ -7,16 +7,15 @@ that it [stands](crate::robot::FootState::stands), which is what an estimator of
 layers, and cross-entropy on the logit of each foot.
 */
 
-mod file;
 pub mod learn;
+mod network;
 pub mod score;
 
-use crate::network::{Mlp, PackedMlp, Scratch};
+use crate::network::Scratch;
 use crate::robot::{JOINTS, Joints};
-use crate::util::files::{self, FileError};
 
 use super::EncoderReading;
-pub use file::{ContactProvenance, HeldOut, PolicySource};
+pub use network::{ContactNetwork, ContactProvenance, HeldOut, PolicySource, shipped_sha256};
 
 /// Number of ticks in the input, the present one included.
 pub const TICKS: usize = 4;
@@ -32,28 +31,20 @@ pub const RATE_HZ: f64 = 240.0;
 
 const _: () = assert!(INPUTS == 144);
 
-/// The file of the shipped network.
-const SHIPPED: &[u8] = include_bytes!("../../../models/contact.safetensors");
-
-/// Returns the SHA-256 of the shipped file.
-pub fn shipped_sha256() -> String {
-    files::sha256(&[SHIPPED])
-}
-
 /// The last [`TICKS`] ticks, the input of the network in physical units.
 #[derive(Debug, Clone, PartialEq)]
-pub struct History {
+pub struct ContactHistory {
     inputs: [f32; INPUTS],
     begun: bool,
 }
 
-impl Default for History {
+impl Default for ContactHistory {
     fn default() -> Self {
-        History { inputs: [0.0; INPUTS], begun: false }
+        ContactHistory { inputs: [0.0; INPUTS], begun: false }
     }
 }
 
-impl History {
+impl ContactHistory {
     /// Adds the encoder reading of a tick and the joint targets \[rad\] that were given last. The first tick also fills
     /// the past. A reading that is not finite is ignored.
     pub fn push(&mut self, encoders: &EncoderReading, targets: &Joints) {
@@ -76,74 +67,18 @@ impl History {
     }
 }
 
-/// A trained network, its normaliser and its origin.
-#[derive(Debug)]
-pub struct ContactNetwork {
-    /// The network from normalised inputs to a logit for each foot.
-    pub mlp: Mlp,
-    /// Mean of each input in training, physical units.
-    pub offset: Vec<f32>,
-    /// Inverse standard deviation of each input in training.
-    pub scale: Vec<f32>,
-    /// Origin of the network: data, seed and scores.
-    pub provenance: ContactProvenance,
-    packed: PackedMlp,
-}
-
-impl ContactNetwork {
-    /// Assembles the network and its normaliser.
-    ///
-    /// # Panics
-    /// The network does not map 144 numbers to 4, or the normaliser has another length.
-    pub fn new(mlp: Mlp, offset: Vec<f32>, scale: Vec<f32>, provenance: ContactProvenance) -> Self {
-        assert_eq!((mlp.inputs(), mlp.outputs()), (INPUTS, 4), "a contact network leads from 144 numbers to 4");
-        assert_eq!((offset.len(), scale.len()), (INPUTS, INPUTS), "every input has an offset and a scale");
-        ContactNetwork { packed: PackedMlp::new(&mlp), mlp, offset, scale, provenance }
-    }
-
-    /// Loads the network inside the program.
-    ///
-    /// # Errors
-    /// The program was built with a damaged file.
-    pub fn shipped() -> Result<Self, FileError> {
-        Self::from_bytes(SHIPPED, std::path::Path::new("models/contact.safetensors"))
-    }
-
-    /// Returns a warning that names the policies (name and SHA-256) whose gait the network was not trained on, if any.
-    pub fn unfamiliar<'a>(&self, policies: impl IntoIterator<Item = (String, &'a str)>) -> Option<String> {
-        let known = |sha256: &str| self.provenance.policies.iter().any(|policy| policy.sha256 == sha256);
-        let strangers: Vec<String> =
-            policies.into_iter().filter(|(_, sha256)| !known(sha256)).map(|(name, _)| name).collect();
-        (!strangers.is_empty()).then(|| {
-            format!(
-                "the contact network was not trained on how {} walks and may miss contacts; train_contact trains one",
-                strangers.join(", ")
-            )
-        })
-    }
-
-    /// Returns the logit of contact for each foot, in the order of [`crate::robot::LEGS`], for the inputs of a
-    /// [`History`].
-    pub fn logits(&self, inputs: &[f32; INPUTS], scratch: &mut Scratch) -> [f32; 4] {
-        let seen: [f32; INPUTS] = std::array::from_fn(|k| (inputs[k] - self.offset[k]) * self.scale[k]);
-        let mut logits = [0.0; 4];
-        self.packed.forward(1, &seen, &mut logits, scratch);
-        logits
-    }
-}
-
 /// The contact network with the history of one robot.
 #[derive(Debug)]
 pub struct ContactEstimator {
     network: ContactNetwork,
-    history: History,
+    history: ContactHistory,
     scratch: Scratch,
 }
 
 impl ContactEstimator {
     /// Creates an estimator without history.
     pub fn new(network: ContactNetwork) -> Self {
-        ContactEstimator { network, history: History::default(), scratch: Scratch::default() }
+        ContactEstimator { network, history: ContactHistory::default(), scratch: Scratch::default() }
     }
 
     /// Returns the contact of each foot after a tick with this reading and the joint targets \[rad\] that were given
@@ -164,7 +99,7 @@ mod tests {
 
     #[test]
     fn the_history_holds_four_ticks_the_oldest_first() {
-        let mut history = History::default();
+        let mut history = ContactHistory::default();
         history.push(&reading(1.0), &[100.0; JOINTS]);
         assert!(history.inputs().chunks(PER_TICK).all(|tick| (tick[0], tick[12], tick[24]) == (1.0, 10.0, 100.0)));
         for tick in 2..=5 {
@@ -177,19 +112,10 @@ mod tests {
 
     #[test]
     fn a_reading_that_is_not_a_number_stays_out_of_the_history() {
-        let mut history = History::default();
+        let mut history = ContactHistory::default();
         history.push(&reading(1.0), &[0.0; JOINTS]);
         let before = history.clone();
         history.push(&reading(f64::NAN), &[0.0; JOINTS]);
         assert_eq!(history, before);
-    }
-
-    #[test]
-    fn shipped_network_reaches_stated_scores() {
-        let network = ContactNetwork::shipped().unwrap();
-        assert!(network.provenance.held_out.iter().all(|foot| foot.f1 > 0.95), "{:?}", network.provenance.held_out);
-        // With any inputs the answer is a number.
-        let logits = network.logits(&[0.0; INPUTS], &mut Scratch::default());
-        assert!(logits.iter().all(|logit| logit.is_finite()));
     }
 }

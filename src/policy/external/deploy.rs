@@ -10,7 +10,7 @@ use std::path::Path;
 
 use serde::Deserialize;
 
-use super::translate::{Fault, Found, MAX_HISTORY, ages, for_each_joint, gain, quantity, steps_ago};
+use super::framework::{Found, MAX_HISTORY, Result, TranslationFault, ages, for_each_joint, gain, quantity, steps_ago};
 use crate::observation::{Numbers, Observed, Quantity};
 use crate::policy::inference::Meaning;
 use crate::robot::{JOINTS, joint_names};
@@ -30,13 +30,13 @@ struct Deploy {
     stiffness: Vec<f64>,
     damping: Vec<f64>,
     default_joint_pos: Vec<f64>,
-    actions: BTreeMap<String, RawAction>,
+    actions: BTreeMap<String, DeployAction>,
     /// Terms in order, and the switches `scale_first` and `use_gym_history` among them.
     observations: Value,
 }
 
 #[derive(Deserialize)]
-struct RawAction {
+struct DeployAction {
     scale: Vec<f64>,
     offset: Vec<f64>,
     /// Limits of each joint target \[rad\].
@@ -56,10 +56,10 @@ struct RawTerm {
 }
 
 /// Reads the description in a `deploy.yaml`.
-pub(super) fn read(path: &Path) -> Result<Found, Fault> {
-    let text = Text::read(path).map_err(|error| Fault::Text(error.to_string()))?;
+pub(super) fn read(path: &Path) -> Result<Found> {
+    let text = Text::read(path).map_err(|error| TranslationFault::Text(error.to_string()))?;
     let Deploy { joint_ids_map, step_dt, stiffness, damping, default_joint_pos, mut actions, observations } =
-        yaml::layered(&[text]).map_err(|error| Fault::Text(error.without_name()))?;
+        yaml::layered(&[text]).map_err(|error| TranslationFault::Text(error.without_name()))?;
     let motors = joint_names();
     let joints = policy_order(&joint_ids_map)?.map(|motor| motors[motor].clone());
     let nominal_pose = for_each_joint("default_joint_pos", &default_joint_pos)?;
@@ -90,7 +90,7 @@ pub(super) fn read(path: &Path) -> Result<Found, Fault> {
 }
 
 /// Checks the map from the policy's joints to the SDK's motors: FR, FL, RR, RL, each hip, thigh, calf.
-fn policy_order(map: &[usize]) -> Result<[usize; JOINTS], Fault> {
+fn policy_order(map: &[usize]) -> Result<[usize; JOINTS]> {
     match <[usize; JOINTS]>::try_from(map) {
         Ok(order) if (0..JOINTS).all(|motor| order.contains(&motor)) => Ok(order),
         _ => Err(value(
@@ -102,7 +102,7 @@ fn policy_order(map: &[usize]) -> Result<[usize; JOINTS], Fault> {
 }
 
 /// Returns the policy rate for a step \[s\], which the file rounds.
-fn policy_rate(step_dt: f64) -> Result<u32, Fault> {
+fn policy_rate(step_dt: f64) -> Result<u32> {
     let rate = step_dt.recip().round();
     if (1.0..=1000.0).contains(&rate) && (rate * step_dt - 1.0).abs() < ROUNDING {
         Ok(rate as u32)
@@ -112,7 +112,7 @@ fn policy_rate(step_dt: f64) -> Result<u32, Fault> {
 }
 
 /// Returns the meaning of the outputs: whether the offset that is added to them is the nominal pose or nothing.
-fn meaning(offset: &[f64], nominal_pose: &[f64; JOINTS]) -> Result<Meaning, Fault> {
+fn meaning(offset: &[f64], nominal_pose: &[f64; JOINTS]) -> Result<Meaning> {
     let key = "actions.JointPositionAction.offset";
     let offset = for_each_joint(key, offset)?;
     if offset == *nominal_pose {
@@ -126,7 +126,7 @@ fn meaning(offset: &[f64], nominal_pose: &[f64; JOINTS]) -> Result<Meaning, Faul
 
 /// Checks that an action is of all joints, and that its limits of joint targets, if any, are too wide to matter. Returns true if
 /// it has some.
-fn check_action(action: &RawAction, joints: &[String; JOINTS]) -> Result<bool, Fault> {
+fn check_action(action: &DeployAction, joints: &[String; JOINTS]) -> Result<bool> {
     if !is_of_all_joints(&action.joint_ids) {
         return Err(of_some_joints("actions.JointPositionAction.joint_ids"));
     }
@@ -143,7 +143,7 @@ fn check_action(action: &RawAction, joints: &[String; JOINTS]) -> Result<bool, F
 }
 
 /// Returns the entries of the observation and the ages of all of it together.
-fn observation(terms: &Value) -> Result<(Vec<Observed>, Vec<u32>), Fault> {
+fn observation(terms: &Value) -> Result<(Vec<Observed>, Vec<u32>)> {
     let switch = |key: &str| terms.get(key).and_then(Value::as_bool).unwrap_or(false);
     let (scale_first, whole) = (switch("scale_first"), switch("use_gym_history"));
     let (mut entries, mut histories) = (Vec::new(), Vec::new());
@@ -154,7 +154,7 @@ fn observation(terms: &Value) -> Result<(Vec<Observed>, Vec<u32>), Fault> {
         }
         let key = format!("observations.{name}");
         let term: RawTerm = yaml::typed(content.clone(), &[])
-            .map_err(|error| Fault::Text(format!("{key}: {}", error.without_name())))?;
+            .map_err(|error| TranslationFault::Text(format!("{key}: {}", error.without_name())))?;
         let length = term.history_length.unwrap_or(1);
         if length > MAX_HISTORY {
             return Err(value(
@@ -180,15 +180,15 @@ fn observation(terms: &Value) -> Result<(Vec<Observed>, Vec<u32>), Fault> {
 }
 
 /// Returns the entries of a term at these ages.
-fn observed(key: &str, name: &str, term: &RawTerm, ages: &[u32], scale_first: bool) -> Result<Vec<Observed>, Fault> {
+fn observed(key: &str, name: &str, term: &RawTerm, ages: &[u32], scale_first: bool) -> Result<Vec<Observed>> {
     if !term.params.get("asset_cfg").and_then(|asset| asset.get("joint_ids")).is_none_or(is_of_all_joints) {
         return Err(of_some_joints(&format!("{key}.params.asset_cfg.joint_ids")));
     }
     let clip = clip(key, term, scale_first)?;
     if name == "gait_phase" {
         let period_s = term.params.get("period").and_then(Value::as_f64).filter(|period| *period > 0.0);
-        let period_s =
-            period_s.ok_or_else(|| Fault::Missing { key: format!("{key}.params.period"), remedy: " [s]" })?;
+        let period_s = period_s
+            .ok_or_else(|| TranslationFault::Missing { key: format!("{key}.params.period"), remedy: " [s]" })?;
         let [sine, cosine] = scales(key, term, 2)?[..] else { return Ok(Vec::new()) };
         let clocks = [(Quantity::ClockSin, sine), (Quantity::ClockCos, cosine)];
         let at = |age: &u32| {
@@ -212,7 +212,7 @@ fn observed(key: &str, name: &str, term: &RawTerm, ages: &[u32], scale_first: bo
 }
 
 /// Returns the scale of each of `width` numbers of a term.
-fn scales(key: &str, term: &RawTerm, width: usize) -> Result<Vec<f64>, Fault> {
+fn scales(key: &str, term: &RawTerm, width: usize) -> Result<Vec<f64>> {
     let scales = term.scale.clone().unwrap_or_else(|| vec![1.0; width]);
     if scales.len() == width && scales.iter().all(|scale| scale.is_finite()) {
         Ok(scales)
@@ -231,7 +231,7 @@ fn short(scales: &[f64]) -> Option<Numbers> {
 }
 
 /// Returns the limit of a term's scaled numbers, as a description has it.
-fn clip(key: &str, term: &RawTerm, scale_first: bool) -> Result<Option<f64>, Fault> {
+fn clip(key: &str, term: &RawTerm, scale_first: bool) -> Result<Option<f64>> {
     let Some([low, high]) = term.clip else { return Ok(None) };
     let scale = term.scale.as_deref().unwrap_or(&[1.0]);
     let key = format!("{key}.clip");
@@ -256,12 +256,12 @@ fn is_of_all_joints(indices: &Value) -> bool {
     })
 }
 
-fn of_some_joints(key: &str) -> Fault {
+fn of_some_joints(key: &str) -> TranslationFault {
     value(key, "chooses joints".to_owned(), "all 12 in the policy's order: a description observes and moves all")
 }
 
-fn value(key: &str, found: String, expected: &str) -> Fault {
-    Fault::Value { key: key.to_owned(), found, expected: expected.to_owned() }
+fn value(key: &str, found: String, expected: &str) -> TranslationFault {
+    TranslationFault::Value { key: key.to_owned(), found, expected: expected.to_owned() }
 }
 
 #[cfg(test)]
@@ -293,7 +293,7 @@ observations:
   last_action: {params: {}, clip: null, scale: null, history_length: 1}
 ";
 
-    fn described(file: &str) -> Result<Spec, String> {
+    fn described(file: &str) -> std::result::Result<Spec, String> {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("deploy.yaml");
         std::fs::write(&path, file).unwrap();

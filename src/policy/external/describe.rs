@@ -1,13 +1,30 @@
-//! Descriptions of ONNX files: writes the YAML file that makes an exported network an external policy.
+/*! Descriptions of ONNX files: writes the YAML file that makes an exported network an external policy.
 
-use super::text::Description;
-use crate::config::Config;
+[`translate`] reads the `deploy.yaml` of unitree_rl_lab and unitree_rl_mjlab (`deploy`), or the metadata of an ONNX file as mjlab
+and Isaac Lab projects write them (`metadata`). Its text has a comment `check this` wherever the file says nothing and a default is
+taken.
+*/
+
+use std::path::Path;
+
+use super::framework::TranslationFault;
+use super::text::PolicyDescription;
+use super::{POLICY, deploy, metadata};
+use crate::config::{Config, RobotModel, Simulation};
 use crate::observation::{Numbers, Observed, Quantity, Word};
+use crate::policy::inference::Meaning;
 use crate::policy::{Policy, Provenance};
 use crate::robot::{Joints, joint_names};
+use crate::util::files::FileError;
 
 /// The first line of a description that [`describe`] writes.
 const OURS: &str = "is a policy of Supple:";
+
+/// Robot that is assumed where none is named.
+const ROBOT: &str = "go2";
+
+/// Smallest physics rate that is assumed where a file has none \[Hz\]: that of Isaac Lab and mjlab at 50 policy steps a second.
+const PHYSICS_RATE_HZ: u32 = 200;
 
 /// Returns true if [`describe`] wrote this YAML text.
 pub fn is_described_by_us(text: &str) -> bool {
@@ -48,6 +65,57 @@ pub fn describe_network(config_name: &str, config: &Config, onnx: &str) -> Strin
     text(title, onnx, config, &pose, observation, ("offset_from_nominal", config.action.scale_rad))
 }
 
+/// Returns the YAML description, for the ONNX file `onnx`, of the policy that a file of its framework describes: a `deploy.yaml`,
+/// or an ONNX file with metadata. The robot is `robot` or, if none is given, the Go2 with a comment.
+///
+/// # Errors
+/// The file cannot be read, or says something that a description cannot state; the error names the key, what was found and what
+/// was expected.
+pub fn translate(source: &Path, onnx: &str, robot: Option<&str>) -> Result<String, FileError> {
+    let is_onnx = source.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("onnx"));
+    let found = if is_onnx { metadata::read(source) } else { deploy::read(source) };
+    let mut found = found.map_err(|fault| match fault {
+        TranslationFault::File(error) => error,
+        fault => FileError::of(POLICY, source)(fault),
+    })?;
+    if robot.is_none() {
+        found.notes.push(("robot", "check this: the file names no robot"));
+    }
+    let policy_rate_hz = found.policy_rate_hz;
+    found.notes.push(("physics_rate_hz", "check this: the file has none"));
+    found.notes.push(("latency_s", "check this: the file has none; delay of the joint target"));
+    let description = PolicyDescription {
+        title: format!(
+            "{onnx} as {} describes it, by `policy describe`. Check what is marked.",
+            source.file_name().unwrap_or_default().display()
+        ),
+        onnx,
+        robot: &RobotModel {
+            model: robot.unwrap_or(ROBOT).to_owned(),
+            friction_loss_n_m: 0.0,
+            damping_n_m_s_per_rad: 0.0,
+        },
+        simulation: &Simulation {
+            physics_rate_hz: policy_rate_hz * PHYSICS_RATE_HZ.div_ceil(policy_rate_hz),
+            policy_rate_hz,
+            kp_n_m_per_rad: found.kp_n_m_per_rad,
+            kd_n_m_s_per_rad: found.kd_n_m_s_per_rad,
+            latency_s: 0.0,
+        },
+        joints: found.joints,
+        nominal_pose: &found.nominal_pose,
+        observation: found.observation,
+        history: found.history,
+        meaning: match found.meaning {
+            Meaning::OffsetFromNominal => "offset_from_nominal",
+            Meaning::JointAngle => "joint_angle",
+        },
+        scale_rad: found.scale_rad,
+        notes: &found.notes,
+    };
+    Ok(description.to_string())
+}
+
 fn text(
     title: String,
     onnx: &str,
@@ -56,7 +124,7 @@ fn text(
     observation: impl Iterator<Item = Observed>,
     (meaning, scale_rad): (&'static str, f64),
 ) -> String {
-    let description = Description {
+    let description = PolicyDescription {
         // The first line says whose it is.
         title: title.replace(char::is_control, " "),
         onnx,
@@ -75,13 +143,12 @@ fn text(
 
 #[cfg(test)]
 mod tests {
-    use std::path::Path;
-
     use super::*;
     use crate::network::ActorCritic;
     use crate::observation::Command;
+    use crate::policy::file::tests::untrained;
     use crate::policy::{Agent, Controller as _, onnx};
-    use crate::robot::{JOINTS, Robot, RobotState};
+    use crate::robot::{JOINTS, RobotState};
     use crate::util::random::{Purpose, stream};
 
     #[test]
@@ -98,20 +165,12 @@ mod tests {
     }
 
     fn assert_exported_acts_as_its_policy(config: Config) {
-        let layout = config.layout().unwrap();
+        let inputs = config.layout().unwrap().length();
         let mut rng = stream(3, Purpose::Weights, 0, 0);
-        let mut network = ActorCritic::orthogonal(layout.length(), &[16], JOINTS, -1.0, &mut rng);
+        let mut network = ActorCritic::orthogonal(inputs, &[16], JOINTS, -1.0, &mut rng);
         // Else its outputs are next to nothing.
         network.policy.layers.iter_mut().flat_map(|layer| &mut layer.weight).for_each(|weight| *weight *= 3.0);
-        let provenance = Provenance {
-            config_name: "compliant".into(),
-            config,
-            seed: 3,
-            samples: 0,
-            git_revision: "test".into(),
-            mujoco_version: "2.2.2".into(),
-        };
-        let policy = Policy::new(&network, &Robot::load("go1").unwrap(), layout, provenance);
+        let policy = untrained(&network, config);
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join("p.onnx"), onnx::export(&policy)).unwrap();
         std::fs::write(folder.path().join("p.yaml"), describe(&policy, "p.onnx")).unwrap();

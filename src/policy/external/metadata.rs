@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use super::translate::{Fault, Found, MAX_HISTORY, ages, for_each_joint, gain, quantity, steps_ago};
+use super::framework::{Found, MAX_HISTORY, Result, TranslationFault, ages, for_each_joint, gain, quantity, steps_ago};
 use crate::observation::{Numbers, Observed, Quantity};
 use crate::policy::inference::Meaning;
 use crate::policy::onnx;
@@ -21,16 +21,16 @@ const REMEDY: &str = " among its metadata: export it with them, give the policy'
                       examples/policies/rsl_rl.yaml does (mujoco_playground: examples/policies/playground.yaml)";
 
 /// Reads the description in an ONNX file.
-pub(super) fn read(path: &Path) -> Result<Found, Fault> {
+pub(super) fn read(path: &Path) -> Result<Found> {
     found(&Entries(onnx::metadata(path)?))
 }
 
-fn found(entries: &Entries) -> Result<Found, Fault> {
+fn found(entries: &Entries) -> Result<Found> {
     let joints: Vec<String> = entries.list("joint_names")?.iter().map(|name| short(name).to_owned()).collect();
     if joints.len() != JOINTS {
         let expected = format!("the {JOINTS} joints of a quadruped");
         let found = format!("has {} names", joints.len());
-        return Err(Fault::Value { key: "joint_names".into(), found, expected });
+        return Err(TranslationFault::Value { key: "joint_names".into(), found, expected });
     }
     let scale = entries.numbers("action_scale")?;
     let scale_rad = match scale[..] {
@@ -59,7 +59,7 @@ fn found(entries: &Entries) -> Result<Found, Fault> {
 }
 
 /// Returns the entries of the observation: the terms in order, each with its own history.
-fn observation(entries: &Entries) -> Result<Vec<Observed>, Fault> {
+fn observation(entries: &Entries) -> Result<Vec<Observed>> {
     let terms = entries.list("observation_names")?;
     let lengths = if entries.0.contains_key("observation_history_lengths") {
         entries.numbers("observation_history_lengths")?
@@ -68,7 +68,7 @@ fn observation(entries: &Entries) -> Result<Vec<Observed>, Fault> {
     };
     if lengths.len() != terms.len() || !lengths.iter().all(|length| (0.0..=f64::from(MAX_HISTORY)).contains(length)) {
         let expected = format!("one number of steps, at most {MAX_HISTORY}, for each of {} observations", terms.len());
-        return Err(Fault::Value {
+        return Err(TranslationFault::Value {
             key: "observation_history_lengths".into(),
             found: format!("is {lengths:?}"),
             expected,
@@ -85,13 +85,13 @@ fn observation(entries: &Entries) -> Result<Vec<Observed>, Fault> {
 }
 
 /// Checks that the policy's only command, if it is named, is a velocity.
-fn check_command(entries: &Entries) -> Result<(), Fault> {
+fn check_command(entries: &Entries) -> Result<()> {
     let Some(found) = entries.0.get("command_names") else { return Ok(()) };
     if VELOCITY_COMMANDS.contains(&found.trim()) {
         return Ok(());
     }
     let expected = format!("one of {}: the command is a velocity here", VELOCITY_COMMANDS.join(", "));
-    Err(Fault::Value { key: "command_names".into(), found: format!("is '{found}'"), expected })
+    Err(TranslationFault::Value { key: "command_names".into(), found: format!("is '{found}'"), expected })
 }
 
 /// Returns the name of a joint without the name of its robot before a slash.
@@ -104,15 +104,15 @@ struct Entries(BTreeMap<String, String>);
 
 impl Entries {
     /// Splits a value at its commas.
-    fn list(&self, key: &str) -> Result<Vec<String>, Fault> {
-        let text = self.0.get(key).ok_or_else(|| Fault::Missing { key: key.to_owned(), remedy: REMEDY })?;
+    fn list(&self, key: &str) -> Result<Vec<String>> {
+        let text = self.0.get(key).ok_or_else(|| TranslationFault::Missing { key: key.to_owned(), remedy: REMEDY })?;
         let text = text.trim().trim_matches(['[', ']', '(', ')']);
         Ok(text.split(',').map(|part| part.trim().trim_matches(['\'', '"']).to_owned()).collect())
     }
 
-    fn numbers(&self, key: &str) -> Result<Vec<f64>, Fault> {
+    fn numbers(&self, key: &str) -> Result<Vec<f64>> {
         let number = |part: &String| {
-            part.parse().map_err(|_| Fault::Value {
+            part.parse().map_err(|_| TranslationFault::Value {
                 key: key.to_owned(),
                 found: format!("has '{part}'"),
                 expected: "numbers separated by commas".to_owned(),

@@ -9,15 +9,14 @@ with the gains, rates and latency that the policy was trained with.
 
 mod deploy;
 mod describe;
+mod framework;
 mod metadata;
 mod spec;
 mod text;
-mod translate;
 
 use std::path::Path;
 
-pub use describe::{describe, describe_network, is_described_by_us};
-pub use translate::translate;
+pub use describe::{describe, describe_network, is_described_by_us, translate};
 
 use super::inference::{Inference, Network};
 use super::{Agent, AgentError, onnx};
@@ -54,7 +53,7 @@ pub fn check(path: &Path, text: &str) -> Result<bool, AgentError> {
 fn from_bytes(path: &Path, bytes: &[u8]) -> Result<Agent, AgentError> {
     let text = std::str::from_utf8(bytes).map_err(|_| FileError::of(POLICY, path)("it is not text in UTF-8"))?;
     let spec = spec::Spec::parse(path, text)?;
-    let (network, network_files) = onnx::Network::load(&folder_of(path).join(&spec.onnx))?;
+    let (network, network_files) = onnx::OnnxNetwork::load(&folder_of(path).join(&spec.onnx))?;
     spec.check(&network, folder_of(path)).map_err(FileError::of(POLICY, path))?;
     let spec::Spec { layout, action, config, .. } = spec;
     let parts: Vec<&[u8]> = std::iter::once(bytes).chain(network_files.iter().map(Vec::as_slice)).collect();

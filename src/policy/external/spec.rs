@@ -9,8 +9,8 @@ use super::POLICY;
 use crate::config::{Config, ConfigError, RobotModel, Simulation};
 use crate::observation::{Layout, LayoutError, Nominal, Numbers, Observed, limit, numbers};
 use crate::policy::AgentError;
-use crate::policy::inference::{Action, Meaning};
-use crate::policy::onnx::Network;
+use crate::policy::inference::{JointPositionAction, Meaning};
+use crate::policy::onnx::OnnxNetwork;
 use crate::robot::{JOINTS, Joints, Robot, joint_name, joint_names, recognise};
 use crate::util::files::FileError;
 use crate::util::yaml::{self, Text};
@@ -45,7 +45,7 @@ struct RawSpec {
 pub(super) struct Spec {
     pub(super) onnx: PathBuf,
     pub(super) layout: Layout,
-    pub(super) action: Action,
+    pub(super) action: JointPositionAction,
     /// Configuration with the robot, rates, gains and latency to run it with; the rest is that of the paper's
     /// configuration.
     pub(super) config: Config,
@@ -53,7 +53,7 @@ pub(super) struct Spec {
 
 /// A fault in a description, or in the network that does not fit it.
 #[derive(Debug, thiserror::Error)]
-pub(super) enum Fault {
+pub(super) enum SpecFault {
     #[error(transparent)]
     Observation(#[from] LayoutError),
     #[error("nominal_pose_rad has {0} angles, expected {JOINTS}, in the order of `joints`")]
@@ -94,14 +94,14 @@ impl Spec {
     }
 
     /// Checks a description in a folder, in which its robot may lie.
-    fn new(raw: RawSpec, config: Config, folder: &Path) -> Result<Self, Fault> {
+    fn new(raw: RawSpec, config: Config, folder: &Path) -> Result<Self, SpecFault> {
         let order = joint_order(&raw.joints, &config.robot, folder)?;
-        let pose: Joints = raw.nominal_pose_rad.try_into().map_err(|pose: Vec<f64>| Fault::Angles(pose.len()))?;
+        let pose: Joints = raw.nominal_pose_rad.try_into().map_err(|pose: Vec<f64>| SpecFault::Angles(pose.len()))?;
         if !pose.iter().all(|angle| angle.is_finite()) {
-            return Err(Fault::PoseNotFinite(pose));
+            return Err(SpecFault::PoseNotFinite(pose));
         }
         if !pose.iter().all(|angle| angle.abs() <= std::f64::consts::TAU) {
-            return Err(Fault::Pose(pose));
+            return Err(SpecFault::Pose(pose));
         }
         let mut nominal_pose = [0.0; JOINTS];
         for (place, angle) in order.iter().zip(pose) {
@@ -114,7 +114,7 @@ impl Spec {
         Ok(Spec {
             onnx: raw.onnx,
             layout: Layout::repeated(&raw.observation, &history, raw.observation_clip, order, &nominal)?,
-            action: Action {
+            action: JointPositionAction {
                 nominal_pose,
                 meaning: raw.action.meaning,
                 scale_rad: action_scale_rad,
@@ -126,7 +126,7 @@ impl Spec {
 
     /// Checks that the network has as many inputs and outputs as the description states, and that the robot can stand as it
     /// states. A robot that cannot be read is not asked: the policy can still be inspected, or run on another one.
-    pub(super) fn check(&self, network: &Network, folder: &Path) -> Result<(), Fault> {
+    pub(super) fn check(&self, network: &OnnxNetwork, folder: &Path) -> Result<(), SpecFault> {
         if let Ok(robot) = load_robot(&self.config.robot, folder) {
             self.check_pose(&robot)?;
         }
@@ -137,21 +137,21 @@ impl Spec {
             let times = self.layout.history().len();
             let times = if times == 1 { String::new() } else { format!(", {times} times") };
             let (parts, input) = (lengths.join(", ") + &times, network.input_name().to_owned());
-            return Err(Fault::Inputs { length, parts, input, onnx, expected: network.inputs() });
+            return Err(SpecFault::Inputs { length, parts, input, onnx, expected: network.inputs() });
         }
         if network.outputs() != JOINTS {
-            return Err(Fault::Outputs { onnx, found: network.outputs() });
+            return Err(SpecFault::Outputs { onnx, found: network.outputs() });
         }
         Ok(())
     }
 
     /// Checks that each angle of the nominal pose is within the range of its joint.
-    fn check_pose(&self, robot: &Robot) -> Result<(), Fault> {
+    fn check_pose(&self, robot: &Robot) -> Result<(), SpecFault> {
         for joint in *self.layout.order() {
             let (found, [low, high]) = (self.action.nominal_pose[joint], robot.joint_limits[joint]);
             if !(low - ROUNDING_RAD..=high + ROUNDING_RAD).contains(&found) {
                 let (joint, robot) = (joint_name(joint), robot.name.clone());
-                return Err(Fault::PoseBeyondRange { joint, found, low, high, robot });
+                return Err(SpecFault::PoseBeyondRange { joint, found, low, high, robot });
             }
         }
         Ok(())
@@ -166,7 +166,7 @@ fn load_robot(robot: &RobotModel, folder: &Path) -> Result<Arc<Robot>, FileError
 
 /// Returns the index in Supple's order of each of the policy's joints, given by Supple's names with or without `_joint`, by
 /// names that are usual elsewhere (`LF_HAA`, `fl_hx`), or as the file of the robot names them.
-fn joint_order(names: &[String], robot: &RobotModel, folder: &Path) -> Result<[usize; JOINTS], Fault> {
+fn joint_order(names: &[String], robot: &RobotModel, folder: &Path) -> Result<[usize; JOINTS], SpecFault> {
     let known = joint_names();
     let place = |name: &String| {
         let short = name.strip_suffix("_joint").unwrap_or(name);
@@ -183,11 +183,11 @@ fn joint_order(names: &[String], robot: &RobotModel, folder: &Path) -> Result<[u
         let found = names.iter().find(|name| place(name).is_none()).map_or("", String::as_str);
         let own = load_robot(robot, folder)
             .map_or_else(|_| String::new(), |robot| format!("; {}", robot.joints_in_file.join(", ")));
-        return Err(Fault::Joint { found: found.to_owned(), known: known.join(", ") + &own });
+        return Err(SpecFault::Joint { found: found.to_owned(), known: known.join(", ") + &own });
     };
     match <[usize; JOINTS]>::try_from(order) {
         Ok(order) if (0..JOINTS).all(|joint| order.contains(&joint)) => Ok(order),
-        _ => Err(Fault::Joints),
+        _ => Err(SpecFault::Joints),
     }
 }
 
@@ -224,7 +224,7 @@ mod tests {
         let spec = Spec::parse(Path::new("net.yaml"), &text).unwrap();
         assert_eq!(spec.layout, config.layout().unwrap());
         assert_eq!((&spec.config.simulation, &spec.config.robot), (&config.simulation, &config.robot));
-        let Action { nominal_pose, meaning, scale_rad, clip } = spec.action;
+        let JointPositionAction { nominal_pose, meaning, scale_rad, clip } = spec.action;
         assert_eq!((nominal_pose[..3].to_vec(), meaning), (vec![0.0, 0.72, -1.44], Meaning::OffsetFromNominal));
         assert_eq!((scale_rad, clip), ([0.25; JOINTS], f64::INFINITY));
     }

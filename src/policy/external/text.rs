@@ -7,7 +7,7 @@ use crate::observation::{Numbers, Observed};
 use crate::robot::Joints;
 
 /// A description of an external policy; its `Display` is the YAML text.
-pub(super) struct Description<'a> {
+pub(super) struct PolicyDescription<'a> {
     /// The first lines, a comment.
     pub(super) title: String,
     /// Path of the ONNX file, relative to the YAML file.
@@ -29,7 +29,7 @@ pub(super) struct Description<'a> {
     pub(super) notes: &'a [(&'a str, &'a str)],
 }
 
-impl Description<'_> {
+impl PolicyDescription<'_> {
     /// Returns the comment of a key, to go at the end of its line.
     fn note(&self, key: &str) -> String {
         let note = self.notes.iter().find(|(place, _)| *place == key);
@@ -37,7 +37,7 @@ impl Description<'_> {
     }
 }
 
-impl Display for Description<'_> {
+impl Display for PolicyDescription<'_> {
     fn fmt(&self, out: &mut Formatter<'_>) -> fmt::Result {
         for line in self.title.lines() {
             writeln!(out, "# {}", line.replace(char::is_control, " "))?;

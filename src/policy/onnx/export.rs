@@ -8,8 +8,8 @@ users need not know them. The policy file's metadata are in `metadata_props`.
 use prost::Message;
 
 use super::proto::{
-    ATTRIBUTE_FLOAT, ATTRIBUTE_INT, Attribute, Dimension, FLOAT, Graph, Model, Node, OperatorSet, Property, Shape,
-    Size, Tensor, TensorType, Type, ValueInfo,
+    ATTRIBUTE_FLOAT, ATTRIBUTE_INT, Attribute, Dimension, FLOAT, Graph, ModelProto, Node, OperatorSet, Property, Size,
+    TensorProto, TensorShapeProto, TensorType, Type, ValueInfo,
 };
 use crate::network::Layer;
 use crate::policy::Policy;
@@ -59,7 +59,7 @@ pub fn export(policy: &Policy) -> Vec<u8> {
         input: vec![value_info("observation", inputs, "raw observation, see the metadata for its layout and units")],
         output: vec![value_info("joint_target", outputs, "joint targets for the PD controller [rad]")],
     };
-    let model = Model {
+    let model = ModelProto {
         ir_version: IR_VERSION,
         producer_name: "supple".into(),
         producer_version: env!("CARGO_PKG_VERSION").into(),
@@ -74,17 +74,17 @@ pub fn export(policy: &Policy) -> Vec<u8> {
 #[derive(Default)]
 struct Builder {
     nodes: Vec<Node>,
-    constants: Vec<Tensor>,
+    constants: Vec<TensorProto>,
 }
 
 impl Builder {
     fn constant(&mut self, name: &str, shape: &[usize], values: &[f32]) {
-        self.constants.push(Tensor {
+        self.constants.push(TensorProto {
             dims: shape.iter().map(|size| *size as i64).collect(),
             data_type: FLOAT,
             name: name.into(),
             raw_data: values.iter().flat_map(|value| value.to_le_bytes()).collect(),
-            ..Tensor::default()
+            ..TensorProto::default()
         });
     }
 
@@ -118,6 +118,6 @@ fn float(name: &str, value: f32) -> Attribute {
 pub(super) fn value_info(name: &str, width: usize, doc: &str) -> ValueInfo {
     let dim =
         vec![Dimension { size: Some(Size::Name("batch".into())) }, Dimension { size: Some(Size::Value(width as i64)) }];
-    let tensor_type = Some(TensorType { elem_type: FLOAT, shape: Some(Shape { dim }) });
+    let tensor_type = Some(TensorType { elem_type: FLOAT, shape: Some(TensorShapeProto { dim }) });
     ValueInfo { name: name.into(), kind: Some(Type { tensor_type }), doc_string: doc.into() }
 }

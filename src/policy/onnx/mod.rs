@@ -1,4 +1,4 @@
-/*! ONNX: [`export`] writes a policy of Supple for every other runtime, [`Network`] runs an external one.
+/*! ONNX: [`export`] writes a policy of Supple for every other runtime, [`OnnxNetwork`] runs an external one.
 
 Read `network`, then `operators`. The reader is an interpreter of the operators that policy networks of dense layers
 use. A general runtime would be a hundred crates, or a shared library to install, for networks that take a few
@@ -16,10 +16,10 @@ mod weights;
 mod wire;
 
 pub use export::export;
-pub use network::{Network, Scratch, metadata};
+pub use network::{OnnxNetwork, OnnxScratch, metadata};
 
 /// The reason why a network cannot be run: what a file, a tensor or an operator has, and what is supported. The errors of
-/// [`Network::load`] show it.
+/// [`OnnxNetwork::load`] show it.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 struct Unsupported(String);

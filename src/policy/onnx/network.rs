@@ -5,18 +5,16 @@ use std::path::Path;
 
 use prost::Message;
 
-use super::operators::Call;
-use super::proto::{Graph, Model, Node, Size, ValueInfo};
+use super::operators::OperatorCall;
+use super::proto::{Graph, ModelProto, Node, Size, ValueInfo};
 use super::tensor::{Tensor, elements};
-use super::{Result, Unsupported, weights, wire};
+use super::weights::{self, MAX_BYTES};
+use super::{Result, Unsupported, wire};
 use crate::policy::pytorch;
 use crate::util::files::{self, FileError};
 
 /// Name of the file type in error messages.
 const ONNX: &str = "ONNX file";
-
-/// Maximum size of an ONNX file, and of the weights beside it \[bytes\].
-pub const MAX_BYTES: u64 = 32 << 20;
 
 /// Supported versions of the operator set: those with the meaning that `operators` implements.
 const OPERATOR_SETS: std::ops::RangeInclusive<i64> = 7..=22;
@@ -32,7 +30,7 @@ const INPUT: usize = 0;
 
 /// An operator with the indices of its inputs and outputs among the values.
 #[derive(Debug)]
-struct Step {
+struct Operation {
     node: Node,
     inputs: Vec<Option<usize>>,
     outputs: Vec<usize>,
@@ -40,19 +38,19 @@ struct Step {
 
 /// A network with one input and one output.
 #[derive(Debug)]
-pub struct Network {
+pub struct OnnxNetwork {
     input: String,
     input_shape: Vec<usize>,
     output_slot: usize,
     outputs: usize,
-    steps: Vec<Step>,
+    steps: Vec<Operation>,
     /// Constants by index; `None` where a value depends on the observation.
     constants: Vec<Option<Tensor>>,
 }
 
-/// Values of an evaluation by [`Network::forward`]; each robot needs its own.
+/// Values of an evaluation by [`OnnxNetwork::forward`]; each robot needs its own.
 #[derive(Debug, Default)]
-pub struct Scratch(Vec<Option<Tensor>>);
+pub struct OnnxScratch(Vec<Option<Tensor>>);
 
 /// Reads the metadata of an ONNX file: keys and values.
 ///
@@ -64,7 +62,7 @@ pub fn metadata(path: &Path) -> std::result::Result<BTreeMap<String, String>, Fi
     Ok(model.metadata_props.into_iter().map(|property| (property.key, property.value)).collect())
 }
 
-impl Network {
+impl OnnxNetwork {
     /// Reads a file, and the files of weights beside it that it names, and evaluates the network once. Returns the network
     /// and the bytes of the files.
     ///
@@ -91,7 +89,7 @@ impl Network {
         decode(bytes).and_then(Self::new).map_err(FileError::of(ONNX, path))
     }
 
-    fn new(model: Model) -> Result<Self> {
+    fn new(model: ModelProto) -> Result<Self> {
         let versions = model.opset_import.iter().filter(|set| matches!(set.domain.as_str(), "" | "ai.onnx"));
         let version =
             versions.map(|set| set.version).max().ok_or("it does not say which operator set it is made of")?;
@@ -123,7 +121,7 @@ impl Network {
         for (index, node) in graph.node.into_iter().enumerate() {
             let title = title(index, &node);
             let named = |problem: Unsupported| Unsupported(format!("{title}: {problem}"));
-            let step = Step::new(node, &mut slots, &mut constants).map_err(named)?;
+            let step = Operation::new(node, &mut slots, &mut constants).map_err(named)?;
             values.resize(constants.len(), None);
             let changes = step.inputs.iter().flatten().any(|slot| values[*slot].is_some());
             let is_constant = !changes || step.node.op_type == "Shape";
@@ -146,7 +144,7 @@ impl Network {
             );
         };
         let output_slot = *slots.get(&output.name).ok_or_else(|| format!("nothing computes '{}'", output.name))?;
-        let mut network = Network { input: input.name, input_shape, output_slot, outputs: 0, steps, constants };
+        let mut network = OnnxNetwork { input: input.name, input_shape, output_slot, outputs: 0, steps, constants };
         network.outputs = network.output(&values)?.len();
         Ok(network)
     }
@@ -166,11 +164,11 @@ impl Network {
         self.outputs
     }
 
-    /// Evaluates the network. Start with [`Scratch::default`], and use a scratch for one network only.
+    /// Evaluates the network. Start with [`OnnxScratch::default`], and use a scratch for one network only.
     ///
     /// # Panics
-    /// `observation` has another length than [`Network::inputs`].
-    pub fn forward<'a>(&self, observation: &[f32], scratch: &'a mut Scratch) -> &'a [f32] {
+    /// `observation` has another length than [`OnnxNetwork::inputs`].
+    pub fn forward<'a>(&self, observation: &[f32], scratch: &'a mut OnnxScratch) -> &'a [f32] {
         assert_eq!(observation.len(), self.inputs(), "the observation must have the input's length");
         scratch.0.resize(self.constants.len(), None);
         let whole = Tensor::float(self.input_shape.clone(), observation.to_vec()).and_then(|input| {
@@ -187,7 +185,7 @@ impl Network {
     }
 }
 
-impl Step {
+impl Operation {
     /// Assigns an index to every input and output of a node.
     fn new(node: Node, slots: &mut HashMap<String, usize>, constants: &mut Vec<Option<Tensor>>) -> Result<Self> {
         let place = |name: &String| match slots.get(name) {
@@ -201,7 +199,7 @@ impl Step {
             slots.insert(name.clone(), *slot);
         }
         constants.resize(constants.len() + node.output.len(), None);
-        Ok(Step { node, inputs, outputs })
+        Ok(Operation { node, inputs, outputs })
     }
 
     /// Runs the operator on constants and on values that depend on the observation. Outputs that the node does not name
@@ -212,7 +210,7 @@ impl Step {
         if inputs.iter().zip(&self.inputs).any(|(value, slot)| value.is_none() && slot.is_some()) {
             return Err("one of its inputs is an output that is not supported".into());
         }
-        let outputs = Call { node: &self.node, inputs: &inputs }.evaluate()?;
+        let outputs = OperatorCall { node: &self.node, inputs: &inputs }.evaluate()?;
         for (slot, output) in self.outputs.iter().zip(outputs) {
             values[*slot] = Some(output);
         }
@@ -221,12 +219,12 @@ impl Step {
 }
 
 /// Decodes a file whose size has been checked.
-fn decode(bytes: &[u8]) -> Result<Model> {
+fn decode(bytes: &[u8]) -> Result<ModelProto> {
     if pytorch::is_pytorch(bytes) {
         return Err(pytorch::ADVICE.into());
     }
     wire::check(bytes)?;
-    Ok(Model::decode(bytes).map_err(|error| format!("not ONNX ({error})"))?)
+    Ok(ModelProto::decode(bytes).map_err(|error| format!("not ONNX ({error})"))?)
 }
 
 /// Finds the one input that is not a constant; older files list constants as inputs, too.
@@ -280,7 +278,7 @@ fn names(values: &[ValueInfo]) -> String {
 mod tests {
     use super::*;
     use crate::policy::onnx::export::{node, value_info};
-    use crate::policy::onnx::proto::{self, FLOAT, OperatorSet};
+    use crate::policy::onnx::proto::{FLOAT, INT64, OperatorSet, TensorProto};
     use proptest::prelude::*;
 
     #[derive(serde::Deserialize)]
@@ -303,8 +301,8 @@ mod tests {
         let golden: Vec<Golden> = serde_json::from_slice(&fixture("golden.json")).unwrap();
         assert_eq!(golden.len(), 5);
         for Golden { file, inputs, outputs } in golden {
-            let (network, _) = Network::load(&path(&file)).unwrap();
-            let mut scratch = Scratch::default();
+            let (network, _) = OnnxNetwork::load(&path(&file)).unwrap();
+            let mut scratch = OnnxScratch::default();
             for (input, expected) in inputs.iter().zip(&outputs) {
                 let found = network.forward(input, &mut scratch);
                 assert_eq!(found.len(), expected.len(), "{file}");
@@ -316,17 +314,17 @@ mod tests {
         }
     }
 
-    fn constant(name: &str, dims: &[i64], values: Vec<f32>) -> proto::Tensor {
+    fn constant(name: &str, dims: &[i64], values: Vec<f32>) -> TensorProto {
         let dims = dims.to_vec();
-        proto::Tensor { dims, data_type: FLOAT, float_data: values, name: name.into(), ..proto::Tensor::default() }
+        TensorProto { dims, data_type: FLOAT, float_data: values, name: name.into(), ..TensorProto::default() }
     }
 
     fn file(graph: Graph) -> Vec<u8> {
         let opset_import = vec![OperatorSet { domain: String::new(), version: 17 }];
-        Model { ir_version: 8, graph: Some(graph), opset_import, ..Model::default() }.encode_to_vec()
+        ModelProto { ir_version: 8, graph: Some(graph), opset_import, ..ModelProto::default() }.encode_to_vec()
     }
 
-    fn graph(node: Vec<Node>, initializer: Vec<proto::Tensor>) -> Graph {
+    fn graph(node: Vec<Node>, initializer: Vec<TensorProto>) -> Graph {
         Graph {
             node,
             initializer,
@@ -337,7 +335,7 @@ mod tests {
     }
 
     fn refusal(graph: Graph) -> String {
-        Network::from_bytes(&file(graph), Path::new("test.onnx")).unwrap_err().to_string()
+        OnnxNetwork::from_bytes(&file(graph), Path::new("test.onnx")).unwrap_err().to_string()
     }
 
     #[test]
@@ -375,13 +373,8 @@ mod tests {
         let sums = (0..100).map(|index| node("Add", &["row", "column"], &format!("sum {index}"))).collect();
         let refused = refusal(graph(sums, vec![row, column]));
         assert!(refused.contains("more than 16777216"), "{refused}");
-        let reshape = proto::Tensor {
-            data_type: crate::policy::onnx::proto::INT64,
-            int64_data: vec![i64::MAX, -1],
-            name: "shape".into(),
-            dims: vec![2],
-            ..proto::Tensor::default()
-        };
+        let (int64_data, name) = (vec![i64::MAX, -1], "shape".into());
+        let reshape = TensorProto { data_type: INT64, int64_data, name, dims: vec![2], ..TensorProto::default() };
         let refused = refusal(graph(vec![node("Reshape", &["obs", "shape"], "y")], vec![reshape]));
         assert!(refused.contains("too large"), "{refused}");
         // A product of matrices without a value in them.
@@ -394,8 +387,8 @@ mod tests {
     fn every_truncation_is_refused_or_runs() {
         let bytes = fixture("operators.onnx");
         for length in 0..bytes.len() {
-            if let Ok(network) = Network::from_bytes(&bytes[..length], Path::new("cut")) {
-                network.forward(&vec![0.5; network.inputs()], &mut Scratch::default());
+            if let Ok(network) = OnnxNetwork::from_bytes(&bytes[..length], Path::new("cut")) {
+                network.forward(&vec![0.5; network.inputs()], &mut OnnxScratch::default());
             }
         }
     }
@@ -415,14 +408,14 @@ mod tests {
                 let length = bytes.len();
                 bytes[place.index(length)] = byte;
             }
-            if let Ok(network) = Network::from_bytes(&bytes, Path::new("changed")) {
-                network.forward(&vec![0.5; network.inputs()], &mut Scratch::default());
+            if let Ok(network) = OnnxNetwork::from_bytes(&bytes, Path::new("changed")) {
+                network.forward(&vec![0.5; network.inputs()], &mut OnnxScratch::default());
             }
         }
 
         #[test]
         fn bytes_at_random_never_panic(bytes in prop::collection::vec(any::<u8>(), 0..400)) {
-            prop_assert!(Network::from_bytes(&bytes, Path::new("random")).is_err());
+            prop_assert!(OnnxNetwork::from_bytes(&bytes, Path::new("random")).is_err());
         }
     }
 }

@@ -17,14 +17,14 @@ pub const KNOWN: &str = "Abs Add BatchNormalization Cast Celu Clip Concat Consta
                          Slice Softplus Softsign Split Sqrt Squeeze Sub Tanh Transpose Unsqueeze";
 
 /// A node with the values of its inputs; `None` for an omitted input.
-pub struct Call<'a> {
+pub struct OperatorCall<'a> {
     /// The operator and its attributes.
     pub node: &'a Node,
     /// The inputs in the operator's order.
     pub inputs: &'a [Option<&'a Tensor>],
 }
 
-impl Call<'_> {
+impl OperatorCall<'_> {
     /// Runs the operator and returns its outputs.
     pub fn evaluate(&self) -> Result<Vec<Tensor>> {
         let domain = self.node.domain.as_str();

@@ -53,7 +53,7 @@ impl Tensor {
     }
 
     /// Reads a constant of the file.
-    pub fn read(tensor: &proto::Tensor) -> Result<Self> {
+    pub fn read(tensor: &proto::TensorProto) -> Result<Self> {
         if tensor.data_location != 0 {
             return Err("its values are in another file, and it is no weight of the graph: save the model as one file, in PyTorch \
                         with torch.onnx.export(..., external_data=False)"
@@ -155,7 +155,7 @@ pub fn strides(shape: &[usize]) -> Vec<usize> {
 }
 
 /// Returns the bits of the half-precision values of a constant, which may be in the field of 32-bit integers.
-fn halves(tensor: &proto::Tensor) -> Result<impl Iterator<Item = u16>> {
+fn halves(tensor: &proto::TensorProto) -> Result<impl Iterator<Item = u16>> {
     let raw = chunks::<2>(&tensor.raw_data)?.map(u16::from_le_bytes);
     Ok(raw.chain(tensor.int32_data.iter().map(|bits| *bits as u16)))
 }

@@ -2,10 +2,12 @@
 
 use std::path::{Component, Path, PathBuf};
 
-use super::network::MAX_BYTES;
 use super::proto::{Graph, Property};
 use super::{Result, Unsupported};
 use crate::util::files;
+
+/// Maximum size of an ONNX file, and of the weights beside it \[bytes\].
+pub const MAX_BYTES: u64 = 32 << 20;
 
 /// Value of `data_location` of a constant in another file.
 const EXTERNAL: i32 = 1;
@@ -17,7 +19,7 @@ pub fn read_beside(graph: &mut Graph, folder: &Path) -> Result<Vec<Vec<u8>>> {
     let mut left = MAX_BYTES as usize;
     for constant in graph.initializer.iter_mut().filter(|constant| constant.data_location == EXTERNAL) {
         let named = |problem: Unsupported| Unsupported(format!("constant '{}': {problem}", constant.name));
-        let place = Place::new(&constant.external_data).map_err(named)?;
+        let place = ExternalData::new(&constant.external_data).map_err(named)?;
         let known = read.iter().position(|(name, _)| *name == place.file);
         let index = match known {
             Some(index) => index,
@@ -46,13 +48,13 @@ pub fn read_beside(graph: &mut Graph, folder: &Path) -> Result<Vec<Vec<u8>>> {
 }
 
 /// Position of a constant's values in another file.
-struct Place {
+struct ExternalData {
     file: String,
     offset: usize,
     length: Option<usize>,
 }
 
-impl Place {
+impl ExternalData {
     fn new(entries: &[Property]) -> Result<Self> {
         let text = |key: &str| entries.iter().find(|entry| entry.key == key).map(|entry| entry.value.as_str());
         let number = |key: &str| {
@@ -61,7 +63,7 @@ impl Place {
             text(key).map(|text| text.parse::<usize>().map_err(|_| wrong(text))).transpose()
         };
         let file = text("location").ok_or("its values are in another file, which it does not name")?;
-        Ok(Place { file: file.to_owned(), offset: number("offset")?.unwrap_or(0), length: number("length")? })
+        Ok(ExternalData { file: file.to_owned(), offset: number("offset")?.unwrap_or(0), length: number("length")? })
     }
 
     /// Returns the values in the bytes of the file.
@@ -69,7 +71,7 @@ impl Place {
         let rest = bytes.get(self.offset..);
         let values = rest.and_then(|rest| self.length.map_or(Some(rest), |length| rest.get(..length)));
         values.ok_or_else(|| {
-            let Place { file, offset, length } = self;
+            let ExternalData { file, offset, length } = self;
             let length = length.map_or_else(String::new, |length| format!(" of {length} bytes"));
             let found = bytes.len();
             format!("its values{length} at byte {offset} are beyond the end of {file}, which has {found}; is it of another model?")
@@ -92,14 +94,14 @@ fn inside(location: &str) -> Result<PathBuf> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::policy::onnx::Network;
+    use crate::policy::onnx::OnnxNetwork;
 
     fn fixture(file: &str) -> PathBuf {
         Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/onnx").join(file)
     }
 
     fn refusal(folder: &Path) -> String {
-        Network::load(&folder.join("beside.onnx")).unwrap_err().to_string()
+        OnnxNetwork::load(&folder.join("beside.onnx")).unwrap_err().to_string()
     }
 
     #[test]
@@ -111,12 +113,12 @@ mod tests {
         std::fs::write(folder.path().join("beside.weights"), [0; 10]).unwrap();
         let short = refusal(folder.path());
         assert!(short.contains("'weight'") && short.contains("which has 10"), "{short}");
-        assert!(Network::from_bytes(&std::fs::read(fixture("beside.onnx")).unwrap(), Path::new("x")).is_err());
+        assert!(OnnxNetwork::from_bytes(&std::fs::read(fixture("beside.onnx")).unwrap(), Path::new("x")).is_err());
     }
 
     #[test]
     fn both_files_are_returned_to_identify_the_network() {
-        let (_, files) = Network::load(&fixture("beside.onnx")).unwrap();
+        let (_, files) = OnnxNetwork::load(&fixture("beside.onnx")).unwrap();
         let expected = ["beside.onnx", "beside.weights"].map(|file| std::fs::read(fixture(file)).unwrap());
         assert_eq!(files, expected);
     }
@@ -135,7 +137,7 @@ mod tests {
         std::fs::write(folder.path().join("w"), vec![0; 1 << 20]).unwrap();
         let place = [("location", "w"), ("offset", "0"), ("length", "1048576")];
         let property = |(key, value): (&str, &str)| Property { key: key.into(), value: value.into() };
-        let constant = crate::policy::onnx::proto::Tensor {
+        let constant = crate::policy::onnx::proto::TensorProto {
             data_location: EXTERNAL,
             external_data: place.map(property).into(),
             ..Default::default()

@@ -8,9 +8,9 @@ use super::{Result, Unsupported};
 /// Maximum number of fields of all messages together, far more than a policy has.
 const MAX_FIELDS: usize = 100_000;
 
-/// Message types of the schema that contain other messages.
+/// MessageKind types of the schema that contain other messages.
 #[derive(Clone, Copy)]
-enum Message {
+enum MessageKind {
     Model,
     Graph,
     Node,
@@ -24,20 +24,20 @@ enum Message {
     Leaf,
 }
 
-impl Message {
+impl MessageKind {
     /// Returns the type of the message in a length-delimited field, if it is a message.
-    fn child(self, field: u64) -> Option<Message> {
+    fn child(self, field: u64) -> Option<MessageKind> {
         match (self, field) {
-            (Message::Model, 7) => Some(Message::Graph),
-            (Message::Model, 8 | 14) | (Message::Tensor, 13) => Some(Message::Leaf),
-            (Message::Graph, 5) | (Message::Attribute, 5) => Some(Message::Tensor),
-            (Message::Graph, 1) => Some(Message::Node),
-            (Message::Graph, 11 | 12) => Some(Message::ValueInfo),
-            (Message::Node, 5) => Some(Message::Attribute),
-            (Message::ValueInfo, 2) => Some(Message::Type),
-            (Message::Type, 1) => Some(Message::TensorType),
-            (Message::TensorType, 2) => Some(Message::Shape),
-            (Message::Shape, 1) => Some(Message::Leaf),
+            (MessageKind::Model, 7) => Some(MessageKind::Graph),
+            (MessageKind::Model, 8 | 14) | (MessageKind::Tensor, 13) => Some(MessageKind::Leaf),
+            (MessageKind::Graph, 5) | (MessageKind::Attribute, 5) => Some(MessageKind::Tensor),
+            (MessageKind::Graph, 1) => Some(MessageKind::Node),
+            (MessageKind::Graph, 11 | 12) => Some(MessageKind::ValueInfo),
+            (MessageKind::Node, 5) => Some(MessageKind::Attribute),
+            (MessageKind::ValueInfo, 2) => Some(MessageKind::Type),
+            (MessageKind::Type, 1) => Some(MessageKind::TensorType),
+            (MessageKind::TensorType, 2) => Some(MessageKind::Shape),
+            (MessageKind::Shape, 1) => Some(MessageKind::Leaf),
             _ => None,
         }
     }
@@ -46,11 +46,11 @@ impl Message {
 /// Checks that bytes have no more fields than a policy can have, and are not truncated.
 pub fn check(bytes: &[u8]) -> Result<()> {
     let mut fields = 0;
-    count(bytes, Message::Model, &mut fields)
+    count(bytes, MessageKind::Model, &mut fields)
 }
 
 /// Counts fields. The schema is a tree of a few levels, and so is this recursion.
-fn count(mut bytes: &[u8], message: Message, fields: &mut usize) -> Result<()> {
+fn count(mut bytes: &[u8], message: MessageKind, fields: &mut usize) -> Result<()> {
     let cut = || Unsupported::from("it is cut off or not ONNX");
     while !bytes.is_empty() {
         *fields += 1;

@@ -8,7 +8,7 @@ use crate::config::Ppo;
 use crate::ppo::update::ADAM_BETAS;
 
 /// The optimiser Adam: Kingma & Ba, "Adam: A method for stochastic optimization", 2015, algorithm 1.
-pub struct Adam {
+pub struct CandleAdam {
     variables: Vec<Var>,
     learning_rate: f64,
     epsilon: f64,
@@ -20,7 +20,7 @@ pub struct Adam {
     pub steps: u64,
 }
 
-impl Optimizer for Adam {
+impl Optimizer for CandleAdam {
     type Config = Ppo;
 
     fn new(variables: Vec<Var>, settings: Ppo) -> Result<Self> {

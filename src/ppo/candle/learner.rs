@@ -5,7 +5,7 @@ use candle_core::{DType, Tensor, Var};
 use candle_nn::Optimizer;
 
 use super::networks::{numbers, tensors};
-use super::{Adam, Loss, Networks};
+use super::{CandleAdam, CandleNetworks, Loss};
 use crate::config::Ppo;
 use crate::network::ActorCritic;
 use crate::ppo::loss::Minibatch;
@@ -14,7 +14,7 @@ use crate::ppo::{Batch, Learner, LearnerState, UpdateFault, UpdateStatistics};
 use crate::ranks::Alone;
 
 /// Divergences below this count as zero: candle's means differ from those of the rollout in their last bits, which must
-/// not look like a policy that changes too little (see [`Ppo::adapted_learning_rate`]). One gradient step with the
+/// not look like a policy that changes too little (see `adapted_learning_rate`). One gradient step with the
 /// lowest learning rate changes it by a hundred times more.
 const KL_ROUNDING: f64 = 1e-8;
 
@@ -41,8 +41,8 @@ impl CandleLearner {
     /// Runs the update: for each minibatch loss, gradient, clipping, learning rate, and a step of Adam.
     fn epochs(&mut self, batch: &Batch<'_>, permutations: &[Vec<u32>]) -> Result<UpdateStatistics, UpdateFault> {
         let Self { settings, state } = self;
-        let networks = Networks::new(&state.parameters, DType::F32)?;
-        let mut adam = Adam::new(networks.variables.clone(), settings.clone())?;
+        let networks = CandleNetworks::new(&state.parameters, DType::F32)?;
+        let mut adam = CandleAdam::new(networks.variables.clone(), settings.clone())?;
         adam.first_moment = tensors(&state.first_moment)?;
         adam.second_moment = tensors(&state.second_moment)?;
         adam.steps = state.steps;

@@ -6,7 +6,7 @@ is in f64, whatever the networks use: the KL rule compares numbers near zero.
 
 use candle_core::{D, Device, Result, Tensor};
 
-use super::Networks;
+use super::CandleNetworks;
 use crate::ppo::loss::Minibatch;
 
 /// The terms of the loss over a minibatch, and statistics; scalars unless another shape is given.
@@ -30,7 +30,7 @@ impl Loss {
     ///
     /// # Errors
     /// Candle fails, for example because slices of the batch have the wrong length.
-    pub fn new(networks: &Networks, minibatch: &Minibatch<'_>) -> Result<Self> {
+    pub fn new(networks: &CandleNetworks, minibatch: &Minibatch<'_>) -> Result<Self> {
         let Minibatch { batch, settings, rows, .. } = *minibatch;
         let of_batch = |values: &[f32]| rows_of(values, batch.returns.len(), rows);
         let actions = of_batch(batch.actions)?;
@@ -126,7 +126,7 @@ mod tests {
             advantages: &[1.0, -2.0, 0.5],
             returns: &[0.5, 2.0, -1.0],
         };
-        let networks = Networks::new(&network, DType::F64).unwrap();
+        let networks = CandleNetworks::new(&network, DType::F64).unwrap();
         let (settings, orders) = (settings(), [vec![0, 1, 2]]);
         let loss = Loss::new(&networks, &Minibatch::all(&batch, &settings, &orders, &Alone)[0]).unwrap();
         for (name, actual, expected) in [

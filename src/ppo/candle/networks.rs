@@ -7,7 +7,7 @@ use crate::config::LOG_STD_RANGE;
 use crate::network::{ActorCritic, Mlp};
 
 /// A differentiable copy of an [`ActorCritic`].
-pub struct Networks {
+pub struct CandleNetworks {
     policy: Vec<Linear>,
     value: Vec<Linear>,
     log_std: Var,
@@ -15,7 +15,7 @@ pub struct Networks {
     pub variables: Vec<Var>,
 }
 
-impl Networks {
+impl CandleNetworks {
     /// Copies the weights as variables of type `dtype`.
     ///
     /// # Errors

@@ -2,12 +2,13 @@
 
 use std::fmt::Debug;
 use std::ops::Range;
+use std::sync::RwLockReadGuard;
 
 use super::losses::Pass;
-use super::optimizer::{AdamStep, Parameters};
+use super::optimizer::{AdamParameters, AdamStep};
 use super::team::Member;
 use crate::network::ActorCritic;
-use crate::network::kernels::Buffer;
+use crate::network::kernels::AlignedBuffer;
 use crate::ppo::loss::Minibatch;
 
 /// Consecutive blocks of a minibatch that go through phases 1 and 2 together: few enough to stay in the caches in
@@ -26,9 +27,12 @@ pub struct Chunk {
     pub shards: usize,
 }
 
+/// A layer's panels, locked for reading.
+pub type LayerPanels<'a, 'b, P> = &'a [RwLockReadGuard<'b, P>];
+
 /// The blocks of a chunk that belong to one shard.
 #[derive(Debug, Clone)]
-pub struct Piece {
+pub struct ShardBlocks {
     /// Range of blocks, counted from the start of the chunk.
     pub blocks: Range<usize>,
     /// Index of the shard, counted from zero.
@@ -41,12 +45,12 @@ pub struct Piece {
 
 impl Chunk {
     /// Splits the blocks of the chunk by shard.
-    pub fn pieces(self) -> impl Iterator<Item = Piece> {
+    pub fn pieces(self) -> impl Iterator<Item = ShardBlocks> {
         let (first, end) = (self.start, self.start + self.blocks);
         (first / self.shard_blocks..end.div_ceil(self.shard_blocks)).map(move |shard| {
             let of_shard = shard * self.shard_blocks..(shard + 1) * self.shard_blocks;
             let (from, to) = (first.max(of_shard.start), end.min(of_shard.end));
-            Piece {
+            ShardBlocks {
                 blocks: from - first..to - first,
                 shard,
                 is_first: from == of_shard.start,
@@ -94,13 +98,13 @@ pub trait Arithmetic: Debug + Send + Sync + Sized {
     fn panels(&self) -> usize;
 
     /// Reads or replaces the gradient of a panel, and returns its sum of squares.
-    fn gradient(&self, panel: usize, with: impl FnOnce(&mut Buffer)) -> f64;
+    fn gradient(&self, panel: usize, with: impl FnOnce(&mut AlignedBuffer)) -> f64;
 
     /// Phase 3: a step of Adam for all weights.
     fn steps(&self, team: Member<'_>, workspace: &mut Self::Workspace, step: &AdamStep);
 
     /// Copies one part (values, gradients or moments) of all weights and biases into `networks`, as plain numbers.
-    fn unpack(&self, part: fn(&Parameters) -> &Buffer, networks: &mut ActorCritic);
+    fn unpack(&self, part: fn(&AdamParameters) -> &AlignedBuffer, networks: &mut ActorCritic);
 }
 
 #[cfg(test)]

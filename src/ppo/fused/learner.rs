@@ -18,12 +18,12 @@ use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use pulp::Arch;
 
 use super::losses::{Pass, Sums};
-use super::optimizer::{Adam, AdamStep, Parameters};
+use super::optimizer::{Adam, AdamParameters, AdamStep};
 use super::team::{Member, Team, lock, read, write};
 use super::{Arithmetic, Chunk};
 use crate::config::{LOG_STD_RANGE, Ppo};
 use crate::network::ActorCritic;
-use crate::network::kernels::{Buffer, SumOfSquares};
+use crate::network::kernels::{AlignedBuffer, SumOfSquares};
 use crate::ppo::loss::Minibatch;
 use crate::ppo::update::{UpdateProgress, check};
 use crate::ppo::{Batch, DiagonalGaussian, KlDivergence, Learner, LearnerState, UpdateFault, UpdateStatistics};
@@ -50,7 +50,7 @@ pub struct FusedLearner<A> {
     threads: usize,
     ranks: Arc<dyn Ranks>,
     pub(in crate::ppo) arithmetic: A,
-    log_std: RwLock<Parameters>,
+    log_std: RwLock<AdamParameters>,
     /// Number of blocks in a chunk.
     chunk_blocks: usize,
     /// Losses of each block, of the policy and of the value function.
@@ -77,7 +77,7 @@ impl<A: Arithmetic> FusedLearner<A> {
         Self {
             arithmetic: A::new(parts, chunk_blocks),
             chunk_blocks,
-            log_std: RwLock::new(Parameters::new(parts.map(|part| Buffer::from(&*part.log_std)))),
+            log_std: RwLock::new(AdamParameters::new(parts.map(|part| AlignedBuffer::from(&*part.log_std)))),
             sums: std::array::from_fn(|_| (0..blocks).map(|_| Mutex::default()).collect()),
             exchanged: Mutex::default(),
             threads,
@@ -89,7 +89,7 @@ impl<A: Arithmetic> FusedLearner<A> {
         }
     }
 
-    pub(in crate::ppo) fn unpacked(&self, part: fn(&Parameters) -> &Buffer) -> ActorCritic {
+    pub(in crate::ppo) fn unpacked(&self, part: fn(&AdamParameters) -> &AlignedBuffer) -> ActorCritic {
         let mut unpacked = self.shapes.clone();
         unpacked.log_std.copy_from_slice(part(&read(&self.log_std)));
         self.arithmetic.unpack(part, &mut unpacked);

@@ -15,7 +15,7 @@ pub(in crate::ppo) mod team;
 mod tiles;
 mod tree;
 
-pub use arithmetic::{Arithmetic, Chunk};
+pub use arithmetic::{Arithmetic, Chunk, LayerPanels};
 pub use learner::FusedLearner;
 pub use panels::Panels;
 #[cfg(tiles)]

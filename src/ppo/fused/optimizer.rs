@@ -3,29 +3,29 @@
 use pulp::{Simd, WithSimd};
 
 use crate::config::Ppo;
-use crate::network::kernels::Buffer;
+use crate::network::kernels::AlignedBuffer;
 use crate::ppo::update::{ADAM_BETAS, OptimizerStep};
 
 /// Parameters with their gradient and Adam's moments, all of one length.
 #[derive(Debug)]
-pub struct Parameters {
-    pub values: Buffer,
-    pub gradient: Buffer,
-    pub first_moment: Buffer,
-    pub second_moment: Buffer,
+pub struct AdamParameters {
+    pub values: AlignedBuffer,
+    pub gradient: AlignedBuffer,
+    pub first_moment: AlignedBuffer,
+    pub second_moment: AlignedBuffer,
 }
 
-impl Parameters {
+impl AdamParameters {
     /// Combines values, first and second moments; the gradient starts at zero.
-    pub fn new([values, first_moment, second_moment]: [Buffer; 3]) -> Self {
-        let gradient = Buffer::zeros(values.len());
+    pub fn new([values, first_moment, second_moment]: [AlignedBuffer; 3]) -> Self {
+        let gradient = AlignedBuffer::zeros(values.len());
         Self { values, gradient, first_moment, second_moment }
     }
 }
 
 /// A step of Adam for one block (Kingma & Ba, 2015, algorithm 1, arranged as in PyTorch).
 pub struct Adam<'a> {
-    pub parameters: &'a mut Parameters,
+    pub parameters: &'a mut AdamParameters,
     pub step: &'a AdamStep,
 }
 
@@ -35,7 +35,7 @@ impl WithSimd for Adam<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
         let step = *self.step;
-        let Parameters { values, gradient, first_moment, second_moment } = self.parameters;
+        let AdamParameters { values, gradient, first_moment, second_moment } = self.parameters;
         let moments = first_moment.iter_mut().zip(second_moment.iter_mut());
         for ((value, gradient), (m, v)) in values.iter_mut().zip(gradient.iter()).zip(moments) {
             let gradient = gradient * step.gradient_scale;
@@ -98,8 +98,8 @@ mod tests {
     print(p, m, v) */
     #[test]
     fn two_steps_equal_those_of_numpy() {
-        let buffer = |values: &[f32]| Buffer::from(values);
-        let mut parameters = Parameters::new([buffer(&[1.0, -2.0]), buffer(&[0.0; 2]), buffer(&[0.0; 2])]);
+        let buffer = |values: &[f32]| AlignedBuffer::from(values);
+        let mut parameters = AdamParameters::new([buffer(&[1.0, -2.0]), buffer(&[0.0; 2]), buffer(&[0.0; 2])]);
         let settings = &settings();
         for (count, gradient, norm) in [(1, [0.3, -0.4], 0.5), (2, [3.0, 4.0], 5.0)] {
             parameters.gradient.copy_from_slice(&gradient);

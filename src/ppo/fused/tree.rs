@@ -4,18 +4,18 @@ use std::mem::swap;
 
 use pulp::{Arch, Simd, WithSimd};
 
-use crate::network::kernels::Buffer;
+use crate::network::kernels::AlignedBuffer;
 
 /// Partial sums that wait for their other half: at level `k` the sum of 2ᵏ shards.
 #[derive(Debug, Default)]
 pub struct Tree {
-    waiting: Vec<Buffer>,
+    waiting: Vec<AlignedBuffer>,
 }
 
 impl Tree {
     /// Adds the gradient of `shard` of `shards`, a power of two. With the last shard, `gradient` becomes the sum of
     /// all; before, its content has no meaning.
-    pub fn add(&mut self, shard: usize, shards: usize, gradient: &mut Buffer) {
+    pub fn add(&mut self, shard: usize, shards: usize, gradient: &mut AlignedBuffer) {
         // As in a binary counter that goes from `shard` to the next number: ones become zeros until a zero becomes one.
         let merged = (shard + 1).trailing_zeros() as usize;
         for half in &self.waiting[..merged] {
@@ -23,7 +23,7 @@ impl Tree {
         }
         if shard + 1 < shards {
             if self.waiting.len() == merged {
-                self.waiting.push(Buffer::zeros(gradient.len()));
+                self.waiting.push(AlignedBuffer::zeros(gradient.len()));
             }
             swap(gradient, &mut self.waiting[merged]);
         }
@@ -55,7 +55,7 @@ mod tests {
         let mut tree = Tree::default();
         // Twice: what was waiting the first time does not matter the second time.
         for _ in 0..2 {
-            let mut gradient = Buffer::zeros(1);
+            let mut gradient = AlignedBuffer::zeros(1);
             for (index, &shard) in shards.iter().enumerate() {
                 gradient[0] = shard;
                 tree.add(index, 8, &mut gradient);

@@ -1,6 +1,7 @@
 //! Angles of a robot's document, in the unit and order of turns that scenes have.
 
 use super::newer;
+use crate::util::numbers::spaced;
 use crate::util::xml::Element;
 
 /// Writes all angles in radians, and turns of another order than MuJoCo's as quaternions, because the unit and the order of a
@@ -41,7 +42,7 @@ fn settle(element: &mut Element, degrees: bool, sequence: Option<&str>) {
         && let Some(turn) = newer::euler(euler, sequence)
     {
         element.remove("euler");
-        element.set("quat", [turn.w, turn.i, turn.j, turn.k].map(|number| number.to_string()).join(" "));
+        element.set("quat", spaced(&[turn.w, turn.i, turn.j, turn.k]));
     }
     element.children.iter_mut().for_each(|child| settle(child, degrees, sequence));
 }

@@ -9,7 +9,7 @@ point, and stays on the foot.
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 
 use super::names::Description;
-use crate::mujoco::{Data, Kind, Model, Shape};
+use crate::mujoco::{Data, GeomShape, Model, Object};
 use crate::robot::error::RobotError;
 use crate::robot::{LEGS, joint_name};
 
@@ -65,14 +65,14 @@ pub(super) fn find(data: &Data, description: &Description, joints: &[usize]) -> 
 }
 
 fn named(model: &Model, name: &str, leg: usize, joints: &[usize]) -> Result<usize, RobotError> {
-    let Ok(foot) = model.id(Kind::Geom, name) else {
-        let names = (0..model.count(Kind::Geom)).map(|geom| model.name(Kind::Geom, geom));
+    let Ok(foot) = model.id(Object::Geom, name) else {
+        let names = (0..model.count(Object::Geom)).map(|geom| model.name(Object::Geom, geom));
         let known = names.filter(|name| !name.is_empty()).collect::<Vec<_>>().join(", ");
         return Err(RobotError::NoGeometry { name: name.to_owned(), leg: LEGS[leg], known });
     };
     let found = match model.geom(foot).shape {
-        Shape::Plane => "is a plane",
-        Shape::HeightField(_) => "is a height field",
+        GeomShape::Plane => "is a plane",
+        GeomShape::HeightField(_) => "is a height field",
         _ if !model.geom_contact(foot).collides() => "does not collide (its contype and conaffinity are 0)",
         _ => "",
     };
@@ -92,13 +92,13 @@ fn lowest(data: &Data, leg: usize, joints: &[usize]) -> Result<usize, RobotError
     let model = data.model();
     // A foot may be a body of its own, fixed to the calf.
     let calf = model.joint_body(joints[3 * leg + 2]);
-    let candidates: Vec<(usize, f64)> = (0..model.count(Kind::Geom))
+    let candidates: Vec<(usize, f64)> = (0..model.count(Object::Geom))
         .filter(|geom| model.geom_contact(*geom).collides() && model.is_below(model.geom_body(*geom), calf))
         .filter_map(|geom| Some((geom, lower_end(data, geom)?.point.z)))
         .collect();
     let least = |geoms: &mut dyn Iterator<Item = &(usize, f64)>| geoms.min_by(|a, b| a.1.total_cmp(&b.1)).copied();
     let all = least(&mut candidates.iter()).ok_or(RobotError::NoFoot { leg: LEGS[leg] })?;
-    let is_sphere = |candidate: &&(usize, f64)| model.geom(candidate.0).shape == Shape::Sphere;
+    let is_sphere = |candidate: &&(usize, f64)| model.geom(candidate.0).shape == GeomShape::Sphere;
     // A calf's shape may reach down into the sphere that is its foot, and even below it, as the A1's does.
     match least(&mut candidates.iter().filter(is_sphere)) {
         Some((sphere, height)) if height - all.1 <= model.geom(sphere).size[0] => Ok(sphere),
@@ -117,29 +117,29 @@ pub(super) fn lower_end(data: &Data, geom: usize) -> Option<LowerEnd> {
     let end = |half: f64| if half * axis.z.abs() < LEVEL_M { 0.0 } else { -axis.z.signum() * half };
     let down = -Vector3::z();
     Some(match shape.shape {
-        Shape::Plane | Shape::HeightField(_) => return None,
-        Shape::Sphere => LowerEnd { point: centre + down * r, radius: r },
-        Shape::Capsule => LowerEnd { point: centre + axis * end(h) + down * r, radius: r },
-        Shape::Cylinder => {
+        GeomShape::Plane | GeomShape::HeightField(_) => return None,
+        GeomShape::Sphere => LowerEnd { point: centre + down * r, radius: r },
+        GeomShape::Capsule => LowerEnd { point: centre + axis * end(h) + down * r, radius: r },
+        GeomShape::Cylinder => {
             let across = down - axis * axis.dot(&down);
             let rim = across.try_normalize(1e-3).unwrap_or_default();
             let lies = axis.z.abs() < LYING;
             LowerEnd { point: centre + axis * end(h) + rim * r, radius: if lies { r } else { EDGE_M } }
         }
-        Shape::Ellipsoid => {
+        GeomShape::Ellipsoid => {
             let size = Vector3::from(shape.size);
             let scaled = size.component_mul(&(turn.transpose() * down));
             let point = centre + turn * size.component_mul(&scaled) / scaled.norm();
             LowerEnd { point, radius: size.min() }
         }
-        Shape::Box => {
+        GeomShape::Box => {
             let corner = Vector3::from_fn(|k, _| {
                 let (half, rise) = (shape.size[k], turn[(2, k)]);
                 if half * rise.abs() < LEVEL_M { 0.0 } else { -rise.signum() * half }
             });
             LowerEnd { point: centre + turn * corner, radius: EDGE_M }
         }
-        Shape::Mesh(mesh) => {
+        GeomShape::Mesh(mesh) => {
             let corners = data.model().mesh_vertices(mesh).chunks_exact(3);
             let corner = |corner: &[f32]| {
                 centre + turn * Vector3::new(f64::from(corner[0]), f64::from(corner[1]), f64::from(corner[2]))

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
-use crate::mujoco::{Kind, Model};
+use crate::mujoco::{Model, Object};
 use crate::robot::error::RobotError;
 use crate::robot::{JOINTS, Joints, PARTS, joint_name, same_in_every_leg};
 use crate::util::files;
@@ -90,7 +90,7 @@ impl Description {
 
     /// Returns the ids of the model's joints in Supple's order, by the given names or by the usual ones.
     pub(super) fn joints(&self, model: &Model) -> Result<[usize; JOINTS], RobotError> {
-        let names: Vec<&str> = (0..model.count(Kind::Joint)).map(|joint| model.name(Kind::Joint, joint)).collect();
+        let names: Vec<&str> = (0..model.count(Object::Joint)).map(|joint| model.name(Object::Joint, joint)).collect();
         let mut joints = [0; JOINTS];
         for index in 0..JOINTS {
             let position = match &self.joints {

@@ -10,11 +10,12 @@ Limits are as MuJoCo 3 has them whatever the file's version: a range limits unle
 
 use std::collections::HashMap;
 
-use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, Point3, Quaternion, Rotation3, UnitQuaternion, Vector3};
 
 use super::source::{Files, described};
-use super::words::{Verdict, is_actuator, is_known_law, is_newer_actuator, since, verdict};
+use super::words::{LEFT_OUT_SECTIONS, Verdict, is_actuator, is_known_law, is_newer_actuator, since, verdict};
 use crate::robot::error::{RobotError, SAVE_AGAIN};
+use crate::util::numbers::spaced;
 use crate::util::xml::Element;
 
 /// Class without settings, for elements whose settings are all written out.
@@ -22,9 +23,6 @@ const PLAIN: &str = "robot_plain";
 
 /// Sections that are passed to MuJoCo. The others have no meaning in a scene that has its own, or nothing reads them.
 const SECTIONS: [&str; 7] = ["compiler", "default", "asset", "worldbody", "actuator", "custom", "keyframe"];
-
-/// Sections that are left out.
-pub(super) const LEFT_OUT: [&str; 7] = ["option", "size", "sensor", "contact", "statistic", "visual", "extension"];
 
 /// Sections that no such quadruped has, unless they are empty.
 const REFUSED: [&str; 3] = ["equality", "tendon", "deformable"];
@@ -89,23 +87,17 @@ impl<'a> Classes<'a> {
     }
 }
 
-/// A position and orientation in the frame of the body around it.
-#[derive(Debug, Clone)]
-struct Pose {
-    place: Vector3<f64>,
-    turn: UnitQuaternion<f64>,
-}
-
 /// A `<frame>` and those around it.
 #[derive(Debug, Clone)]
-struct Frame {
-    pose: Pose,
+struct OuterFrame {
+    /// Its pose in the frame of the body around it.
+    pose: Isometry3<f64>,
     class: Option<String>,
 }
 
-impl Frame {
+impl OuterFrame {
     fn moves(&self) -> bool {
-        self.pose.place != Vector3::zeros() || self.pose.turn != UnitQuaternion::identity()
+        self.pose != Isometry3::identity()
     }
 }
 
@@ -180,7 +172,7 @@ impl Translator<'_> {
             }
             return Err(RobotError::Section { at: self.files.at(section), section: name.to_owned() });
         }
-        if LEFT_OUT.contains(&name) {
+        if LEFT_OUT_SECTIONS.contains(&name) {
             return Ok(None);
         }
         if !SECTIONS.contains(&name) {
@@ -290,7 +282,7 @@ impl Translator<'_> {
         &mut self,
         body: &Element,
         class: &str,
-        frame: Option<&Frame>,
+        frame: Option<&OuterFrame>,
         out: &mut Vec<Element>,
         in_world: bool,
     ) -> Result<(), RobotError> {
@@ -304,18 +296,17 @@ impl Translator<'_> {
                         return Err(self.newer(child, word, SAVE_AGAIN));
                     }
                     let own = self.pose(&Of { element: child, class })?;
-                    let around = frame.map_or(own.clone(), |frame| frame.pose.of(&own));
+                    let around = frame.map_or(own, |frame| frame.pose * own);
                     let own_class = child.get("childclass").map(str::to_owned);
                     let own_class = own_class.or_else(|| frame.and_then(|frame| frame.class.clone()));
-                    self.body(child, class, Some(&Frame { pose: around, class: own_class }), out, in_world)?;
+                    self.body(child, class, Some(&OuterFrame { pose: around, class: own_class }), out, in_world)?;
                 }
                 "body" => {
                     let mut own = self.fit(child)?;
                     own.children.clear();
                     if let Some(frame) = frame {
                         if frame.moves() {
-                            let pose = frame.pose.of(&self.pose(&Of { element: child, class })?);
-                            pose.write(&mut own);
+                            write_pose(&(frame.pose * self.pose(&Of { element: child, class })?), &mut own);
                         }
                         if let (None, Some(class)) = (child.get("childclass"), &frame.class) {
                             own.set("childclass", class);
@@ -348,7 +339,7 @@ impl Translator<'_> {
     }
 
     /// Translates a joint, geometry, site or inertia.
-    fn part(&mut self, part: &Element, class: &str, frame: Option<&Frame>) -> Result<Element, RobotError> {
+    fn part(&mut self, part: &Element, class: &str, frame: Option<&OuterFrame>) -> Result<Element, RobotError> {
         let frame_class = frame.and_then(|frame| frame.class.as_deref());
         let own_class = part.get("class").or(frame_class).unwrap_or(class).to_owned();
         let of = Of { element: part, class: &own_class };
@@ -378,26 +369,25 @@ impl Translator<'_> {
             "joint" => {
                 let place = self.numbers(&of, "pos")?.unwrap_or([0.0; 3]);
                 let axis = self.numbers(&of, "axis")?.unwrap_or([0.0, 0.0, 1.0]);
-                own.set("pos", list(&(frame.pose.place + frame.pose.turn * Vector3::from(place)).into()));
-                own.set("axis", list(&(frame.pose.turn * Vector3::from(axis)).into()));
+                own.set("pos", spaced((frame.pose * Point3::from(place)).coords.as_slice()));
+                own.set("axis", spaced((frame.pose.rotation * Vector3::from(axis)).as_slice()));
             }
             _ => {
                 if let Some(ends) = self.numbers::<6>(&of, "fromto")? {
                     let end = |at: usize| {
-                        let end = Vector3::new(ends[at], ends[at + 1], ends[at + 2]);
-                        list(&(frame.pose.place + frame.pose.turn * end).into())
+                        let end = Point3::new(ends[at], ends[at + 1], ends[at + 2]);
+                        spaced((frame.pose * end).coords.as_slice())
                     };
                     own.set("fromto", format!("{} {}", end(0), end(3)));
                 } else if let Some(full) = self.numbers::<6>(&of, "fullinertia")? {
                     let [xx, yy, zz, xy, xz, yz] = full;
-                    let turn = frame.pose.turn.to_rotation_matrix();
+                    let turn = frame.pose.rotation.to_rotation_matrix();
                     let full = turn * Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz) * turn.transpose();
                     let full = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)].map(|at| full[at]);
-                    let place = frame.pose.of(&self.pose(&of)?).place;
-                    own.set("pos", list(&place.into()));
-                    own.set("fullinertia", full.map(|number| number.to_string()).join(" "));
+                    own.set("pos", spaced((frame.pose * self.pose(&of)?).translation.vector.as_slice()));
+                    own.set("fullinertia", spaced(&full));
                 } else {
-                    frame.pose.of(&self.pose(&of)?).write(&mut own);
+                    write_pose(&(frame.pose * self.pose(&of)?), &mut own);
                 }
             }
         }
@@ -569,7 +559,7 @@ impl Translator<'_> {
     }
 
     /// Reads position and orientation of an element, with its class, as MuJoCo does.
-    fn pose(&self, of: &Of<'_>) -> Result<Pose, RobotError> {
+    fn pose(&self, of: &Of<'_>) -> Result<Isometry3<f64>, RobotError> {
         let place = self.numbers(of, "pos")?.unwrap_or([0.0; 3]);
         let [w, x, y, z] = self.numbers(of, "quat")?.unwrap_or([1.0, 0.0, 0.0, 0.0]);
         let mut turn = UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 1e-12).unwrap_or_default();
@@ -600,7 +590,7 @@ impl Translator<'_> {
                 expected: "axes longer than zero",
             });
         }
-        Ok(Pose { place: place.into(), turn })
+        Ok(Isometry3::from_parts(place.into(), turn))
     }
 
     fn newer(&self, element: &Element, word: &str, advice: &'static str) -> RobotError {
@@ -615,19 +605,12 @@ impl Translator<'_> {
     }
 }
 
-impl Pose {
-    /// Returns the pose of something that has `inner` within this pose.
-    fn of(&self, inner: &Pose) -> Pose {
-        Pose { place: self.place + self.turn * inner.place, turn: self.turn * inner.turn }
-    }
-
-    /// Writes the pose into an element.
-    fn write(&self, element: &mut Element) {
-        ["axisangle", "xyaxes", "zaxis", "euler"].iter().for_each(|name| element.remove(name));
-        element.set("pos", list(&self.place.into()));
-        let turn = self.turn;
-        element.set("quat", [turn.w, turn.i, turn.j, turn.k].map(|number| number.to_string()).join(" "));
-    }
+/// Writes a pose into an element.
+fn write_pose(pose: &Isometry3<f64>, element: &mut Element) {
+    ["axisangle", "xyaxes", "zaxis", "euler"].iter().for_each(|name| element.remove(name));
+    element.set("pos", spaced(pose.translation.vector.as_slice()));
+    let turn = pose.rotation;
+    element.set("quat", spaced(&[turn.w, turn.i, turn.j, turn.k]));
 }
 
 /// Returns true if a body without `<inertial>` has its mass from a mesh.
@@ -670,8 +653,4 @@ pub(super) fn euler(angles: &str, sequence: &str) -> Option<UnitQuaternion<f64>>
 
 fn words(text: &str) -> Vec<&str> {
     text.split_whitespace().collect()
-}
-
-fn list(numbers: &[f64; 3]) -> String {
-    numbers.map(|number| number.to_string()).join(" ")
 }

@@ -11,10 +11,11 @@ use super::newer::{self, Translated};
 use super::source::{Files, Source};
 use super::torque::torque_limits;
 use super::urdf;
-use crate::mujoco::{self, Data, GeomContact, Kind, Model, Shape};
+use crate::mujoco::{Data, GeomContact, GeomShape, Model, Object};
 use crate::robot::error::RobotError;
 use crate::robot::kinematics::{Leg, bent_pose};
 use crate::robot::{HARNESS, JOINTS, Joints, LEGS, PARTS, joint_name, limits, sole_name};
+use crate::util::numbers::{short, spaced};
 use crate::util::xml::Element;
 
 /// Class that takes over the file's top-level defaults, because a robot must not change those of a scene.
@@ -74,7 +75,7 @@ pub(super) fn adapt(source: &Source) -> Result<Imported, RobotError> {
     let (mut start, has_pose) = survey.start(description)?;
     let mut document = survey.document(&tree, &start, description)?;
     let model = load(&document, files)?;
-    if !has_pose && survey.feet.iter().any(|foot| survey.model.geom(*foot).shape != Shape::Sphere) {
+    if !has_pose && survey.feet.iter().any(|foot| survey.model.geom(*foot).shape != GeomShape::Sphere) {
         // Knees will be bent; the feet then stand on other points.
         let limits = survey.joints.map(|joint| limits(&survey.model, joint));
         if let Some(bent) = bent_pose(&Leg::all(&model)?, &start.pose, &limits) {
@@ -88,7 +89,7 @@ pub(super) fn adapt(source: &Source) -> Result<Imported, RobotError> {
     let mut mjcf = String::new();
     document.write(&mut mjcf);
     let sha256 = source.sha256(&assets)?;
-    let joints = survey.joints.map(|joint| survey.model.name(Kind::Joint, joint).to_owned());
+    let joints = survey.joints.map(|joint| survey.model.name(Object::Joint, joint).to_owned());
     Ok(Imported { mjcf, report, has_pose, fall_height_m: description.fall_height_m, sha256, joints, assets })
 }
 
@@ -166,12 +167,12 @@ impl<'a> Survey<'a> {
         states_masses: bool,
     ) -> Result<Self, RobotError> {
         let model = load(tree, files)?;
-        let name = |joint: usize| model.name(Kind::Joint, joint).to_owned();
-        let free: Vec<usize> = (0..model.count(Kind::Joint)).filter(|joint| model.is_free(*joint)).collect();
+        let name = |joint: usize| model.name(Object::Joint, joint).to_owned();
+        let free: Vec<usize> = (0..model.count(Object::Joint)).filter(|joint| model.is_free(*joint)).collect();
         let joints = description.joints(&model)?;
         // Bodies in between may be fixed to one another.
         let above = |body: usize| {
-            let moves = |body: usize| (0..model.count(Kind::Joint)).any(|joint| model.joint_body(joint) == body);
+            let moves = |body: usize| (0..model.count(Object::Joint)).any(|joint| model.joint_body(joint) == body);
             let mut above = model.body_parent(body);
             while above != 0 && !moves(above) {
                 above = model.body_parent(above);
@@ -189,7 +190,7 @@ impl<'a> Survey<'a> {
                 return Err(RobotError::NotInLine(name(leg[0]), name(leg[1]), name(leg[2])));
             }
         }
-        let others: Vec<String> = (0..model.count(Kind::Joint))
+        let others: Vec<String> = (0..model.count(Object::Joint))
             .filter(|joint| {
                 *joint != root && !joints.contains(joint) && model.is_below(model.joint_body(*joint), trunk)
             })
@@ -198,8 +199,8 @@ impl<'a> Survey<'a> {
         if !others.is_empty() {
             return Err(RobotError::OtherJoints(others.join(", ")));
         }
-        let mut geoms = vec![Vec::new(); model.count(Kind::Body)];
-        for geom in 0..model.count(Kind::Geom) {
+        let mut geoms = vec![Vec::new(); model.count(Object::Body)];
+        for geom in 0..model.count(Object::Geom) {
             geoms[model.geom_body(geom)].push((geom, model.geom_contact(geom)));
         }
         let mut notes = Vec::new();
@@ -240,13 +241,12 @@ impl<'a> Survey<'a> {
         let mut id = self.trunk;
         self.change(&mut trunk, &mut id, start)?;
         // Where ropes are tied to.
-        let centre = self.model.body_centre_of_mass(self.trunk).map(|value| value.to_string()).join(" ");
+        let centre = spaced(&self.model.body_centre_of_mass(self.trunk));
         trunk.children.push(Element::new("site").with("name", HARNESS).with("pos", centre).with("group", 4));
         root.children.push(Element { children: vec![trunk], ..Element::new("worldbody") });
         root.children.push(self.motors());
-        let numbers = |values: &[f64]| values.iter().map(f64::to_string).collect::<Vec<_>>().join(" ");
         let numeric =
-            |name: &str, values: &[f64]| Element::new("numeric").with("name", name).with("data", numbers(values));
+            |name: &str, values: &[f64]| Element::new("numeric").with("name", name).with("data", spaced(values));
         let mut custom = Element::new("custom");
         custom.children.push(numeric("stand_qpos", &start.positions));
         if let (None, Ok(pose)) = (description.pose, self.model.numeric("nominal_pose")) {
@@ -298,10 +298,10 @@ impl<'a> Survey<'a> {
         }
         for (leg, foot) in self.feet.iter().enumerate() {
             // A sphere stands for itself.
-            if self.model.geom_body(*foot) == own && self.model.geom(*foot).shape != Shape::Sphere {
+            if self.model.geom_body(*foot) == own && self.model.geom(*foot).shape != GeomShape::Sphere {
                 let Sole { centre, radius } = start.soles[leg];
                 let site = Element::new("site").with("name", sole_name(leg)).with("type", "sphere");
-                let site = site.with("size", radius).with("pos", centre.map(|value| value.to_string()).join(" "));
+                let site = site.with("size", radius).with("pos", spaced(&centre));
                 body.children.push(site.with("group", 4));
             }
         }
@@ -313,17 +313,16 @@ impl<'a> Survey<'a> {
 
     /// Returns the mass and inertia that MuJoCo has found for a body.
     fn inertial(&self, body: usize) -> Element {
-        let numbers = |values: &[f64]| values.iter().map(f64::to_string).collect::<Vec<_>>().join(" ");
         Element::new("inertial")
-            .with("pos", numbers(&self.model.body_centre_of_mass(body)))
-            .with("quat", numbers(&self.model.body_inertia_quaternion(body)))
+            .with("pos", spaced(&self.model.body_centre_of_mass(body)))
+            .with("quat", spaced(&self.model.body_inertia_quaternion(body)))
             .with("mass", self.model.body_mass()[body])
-            .with("diaginertia", numbers(&self.model.body_inertia(body)))
+            .with("diaginertia", spaced(&self.model.body_inertia(body)))
     }
 
     fn change_joint(&self, joint: &mut Element) {
         let name = joint.get("name").unwrap_or("");
-        let ours = self.joints.iter().position(|id| self.model.name(Kind::Joint, *id) == name);
+        let ours = self.joints.iter().position(|id| self.model.name(Object::Joint, *id) == name);
         if let Some(index) = ours {
             joint.set("limited", self.model.joint_is_limited(self.joints[index]));
         }
@@ -335,8 +334,8 @@ impl<'a> Survey<'a> {
     /// Sets Supple's contact masks and removes settings that would override the ground's.
     fn change_geom(&self, element: &mut Element, geom: usize, contact: &GeomContact) -> Result<(), RobotError> {
         let shape = match self.model.geom(geom).shape {
-            Shape::Plane => "plane",
-            Shape::HeightField(_) => "height field",
+            GeomShape::Plane => "plane",
+            GeomShape::HeightField(_) => "height field",
             _ => "",
         };
         if !shape.is_empty() {
@@ -389,18 +388,17 @@ impl<'a> Survey<'a> {
 
     /// Returns the robot level at 1 m in a pose.
     fn placed(&self, pose: &Joints) -> Result<Data, RobotError> {
-        let fail = |error: mujoco::Error| RobotError::Engine(error.to_string());
-        let model = self.model.try_clone().map_err(fail)?;
-        let root = (0..model.count(Kind::Joint)).find(|joint| model.joint_body(*joint) == self.trunk).unwrap_or(0);
+        let model = self.model.try_clone()?;
+        let root = (0..model.count(Object::Joint)).find(|joint| model.joint_body(*joint) == self.trunk).unwrap_or(0);
         let base = model.joint_position_index(root);
         let places = self.joints.map(|joint| model.joint_position_index(joint));
-        let mut data = Data::new(model).map_err(fail)?;
+        let mut data = Data::new(model)?;
         let positions = data.positions_mut();
         positions[base..base + 7].copy_from_slice(&[0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0]);
         for (place, angle) in places.iter().zip(pose) {
             positions[*place] = *angle;
         }
-        data.step1().map_err(fail)?;
+        data.step1()?;
         Ok(data)
     }
 
@@ -440,7 +438,7 @@ impl<'a> Survey<'a> {
     fn report(&self) -> Vec<String> {
         let model = &self.model;
         let mut lines = Vec::new();
-        let bodies = (self.trunk..model.count(Kind::Body)).filter(|body| model.is_below(*body, self.trunk));
+        let bodies = (self.trunk..model.count(Object::Body)).filter(|body| model.is_below(*body, self.trunk));
         let mass: f64 = bodies.map(|body| model.body_mass()[body]).sum();
         lines.push(format!("mass: {mass:.3} kg, kept, as are inertias, shapes, joint limits and armature"));
         if self.states_masses {
@@ -466,14 +464,14 @@ impl<'a> Survey<'a> {
             lines.push(format!("joint limits: none in the file for {}, which turn freely", without.join(", ")));
         }
         let limits = self.torque_limits;
-        let servos = (0..model.count(Kind::Actuator)).filter(|id| model.actuator(*id).has_bias).count();
+        let servos = (0..model.count(Object::Actuator)).filter(|id| model.actuator(*id).has_bias).count();
         let hips_and_thighs: Vec<f64> =
             limits.chunks(PARTS.len()).flat_map(|leg| &leg[..PARTS.len() - 1]).copied().collect();
         let calves: Vec<f64> = limits.chunks(PARTS.len()).map(|leg| leg[PARTS.len() - 1]).collect();
         lines.push(format!(
             "actuators: {} ({servos} of them servos) replaced by torque motors under our PD law; limits {} N m (hip, \
              thigh) and {} N m (calf)",
-            model.count(Kind::Actuator),
+            model.count(Object::Actuator),
             range(&hips_and_thighs),
             range(&calves),
         ));
@@ -481,11 +479,11 @@ impl<'a> Survey<'a> {
         let radii = self.feet.map(|foot| model.geom(foot).size[0]);
         let foot = &feet[0];
         let shapes = self.feet.map(|foot| match model.geom(foot).shape {
-            Shape::Sphere => "spheres",
-            Shape::Capsule => "capsules",
-            Shape::Cylinder => "cylinders",
-            Shape::Ellipsoid => "ellipsoids",
-            Shape::Box => "boxes",
+            GeomShape::Sphere => "spheres",
+            GeomShape::Capsule => "capsules",
+            GeomShape::Cylinder => "cylinders",
+            GeomShape::Ellipsoid => "ellipsoids",
+            GeomShape::Box => "boxes",
             _ => "meshes",
         });
         let what = if shapes.iter().all(|shape| *shape == "spheres") {
@@ -548,7 +546,7 @@ fn left_out(tree: &Element, survey: &Survey<'_>) -> Vec<String> {
     if !found.is_empty() {
         lines.push(format!("sections left out: {}", found.join(", ")));
     }
-    let moving = (0..survey.model.count(Kind::Joint)).filter(|joint| survey.model.is_free(*joint)).count();
+    let moving = (0..survey.model.count(Object::Joint)).filter(|joint| survey.model.is_free(*joint)).count();
     if moving > 1 {
         lines.push(format!("{} loose bodies beside the robot left out", moving - 1));
     }
@@ -623,9 +621,4 @@ fn range(values: &[f64]) -> String {
 
 fn list(values: &[f64]) -> String {
     values.iter().map(|value| short(*value)).collect::<Vec<_>>().join(" ")
-}
-
-/// Formats a number without floating-point noise.
-pub(super) fn short(value: f64) -> String {
-    ((value * 1e6).round() / 1e6).to_string()
 }

@@ -127,8 +127,7 @@ fn bound_this_process() -> Result<(), RobotError> {
 /// Imports, compiles and steps a robot, as this program will.
 fn try_out(path: &Path) -> Result<Imported, RobotError> {
     let imported = normalise::adapt(&source::Source::read(path)?)?;
-    let words = |error: crate::mujoco::Error| RobotError::Engine(error.to_string());
-    let mut data = Data::new(Model::from_xml(&[("robot.xml", &imported.mjcf)]).map_err(words)?).map_err(words)?;
+    let mut data = Data::new(Model::from_xml(&[("robot.xml", &imported.mjcf)])?)?;
     for _ in 0..STEPS {
         // Faults are those of a robot in the air, not of its file.
         let _ = data.step();

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::names::Description;
-use super::newer;
+use super::words::LEFT_OUT_SECTIONS;
 use crate::mujoco::check_sizes;
 use crate::robot::error::RobotError;
 use crate::util::files;
@@ -66,7 +66,7 @@ impl Source {
             return Err(RobotError::Root(tree.name));
         }
         let mut taken = tree.clone();
-        taken.children.retain(|child| !newer::LEFT_OUT.contains(&child.name.as_str()));
+        taken.children.retain(|child| !LEFT_OUT_SECTIONS.contains(&child.name.as_str()));
         check_sizes(&taken)?;
         check_finite(&taken, &files)?;
         Ok(Source { description, tree, files })

@@ -1,10 +1,10 @@
 //! The largest torque of each joint.
 
 use super::names::Description;
-use super::normalise::short;
-use crate::mujoco::{Kind, Model};
+use crate::mujoco::{Model, Object};
 use crate::robot::error::RobotError;
 use crate::robot::{JOINTS, Joints, joint_name};
+use crate::util::numbers::short;
 
 /// Returns the largest torque of each joint [N·m]: the description's, or the tightest of what bounds it in the file, the sum of
 /// its actuators and the limit of the joint itself.
@@ -20,8 +20,8 @@ pub(super) fn torque_limits(
     }
     let mut limits = [0.0; JOINTS];
     for (index, limit) in limits.iter_mut().enumerate() {
-        let name = model.name(Kind::Joint, joints[index]);
-        let actuators = (0..model.count(Kind::Actuator)).map(|id| model.actuator(id));
+        let name = model.name(Object::Joint, joints[index]);
+        let actuators = (0..model.count(Object::Actuator)).map(|id| model.actuator(id));
         let ranges: Vec<Option<[f64; 2]>> = actuators
             .filter(|actuator| actuator.joint == Some(joints[index]))
             .map(|actuator| {

@@ -11,8 +11,9 @@ use nalgebra::{Isometry3, Matrix3, Point3, Quaternion, Translation3, UnitQuatern
 use super::load::load;
 use super::newer::Translated;
 use super::source::Files;
-use crate::mujoco::{Kind, Model, Shape};
+use crate::mujoco::{GeomShape, Model, Object};
 use crate::robot::error::RobotError;
+use crate::util::numbers::spaced;
 use crate::util::xml::{Element, Place};
 
 /// Name of the link that stands for the world.
@@ -150,8 +151,8 @@ fn share_masses(robot: &mut Element) {
         let own = joint * origin(&inertial);
         let (roll, pitch, yaw) = own.rotation.euler_angles();
         inertial.children.retain(|part| part.name != "origin");
-        let place = Element::new("origin").with("xyz", list(own.translation.vector.as_slice()));
-        inertial.children.push(place.with("rpy", list(&[roll, pitch, yaw])));
+        let place = Element::new("origin").with("xyz", spaced(own.translation.vector.as_slice()));
+        inertial.children.push(place.with("rpy", spaced(&[roll, pitch, yaw])));
         for link in robot.children.iter_mut().filter(|link| link.name == "link") {
             if link.get("name") == Some(&child) {
                 link.children.retain(|part| part.name != "inertial");
@@ -184,23 +185,23 @@ fn written(model: &Model, robot: &Element) -> Element {
 /// itself.
 fn bodies(model: &Model, parent: usize, robot: &Element) -> Vec<Element> {
     let moving = parts(model, parent).into_iter().flat_map(|(part, pose)| {
-        let below = (1..model.count(Kind::Body)).filter(move |body| model.body_parent(*body) == part);
+        let below = (1..model.count(Object::Body)).filter(move |body| model.body_parent(*body) == part);
         below.filter(|body| moves(model, *body)).map(move |body| (body, pose * local(model, body)))
     });
     moving
         .map(|(body, pose)| {
-            let name = model.name(Kind::Body, body);
+            let name = model.name(Object::Body, body);
             let mut element = Element { place: place(robot, "link", name), ..Element::new("body") };
             element.set("name", name);
-            element.set("pos", list(pose.translation.vector.as_slice()));
+            element.set("pos", spaced(pose.translation.vector.as_slice()));
             element.set("quat", quaternion(&pose.rotation));
             let parts = parts(model, body);
             element.children.extend(inertial(model, &parts, robot));
-            for joint in (0..model.count(Kind::Joint)).filter(|joint| model.joint_body(*joint) == body) {
+            for joint in (0..model.count(Object::Joint)).filter(|joint| model.joint_body(*joint) == body) {
                 element.children.push(written_joint(model, joint, robot));
             }
             for (part, pose) in &parts {
-                for geom in (0..model.count(Kind::Geom)).filter(|geom| model.geom_body(*geom) == *part) {
+                for geom in (0..model.count(Object::Geom)).filter(|geom| model.geom_body(*geom) == *part) {
                     element.children.push(written_geom(model, geom, pose));
                 }
             }
@@ -212,7 +213,7 @@ fn bodies(model: &Model, parent: usize, robot: &Element) -> Vec<Element> {
 
 /// Returns true if a joint moves a body.
 fn moves(model: &Model, body: usize) -> bool {
-    (0..model.count(Kind::Joint)).any(|joint| model.joint_body(joint) == body)
+    (0..model.count(Object::Joint)).any(|joint| model.joint_body(joint) == body)
 }
 
 /// Returns the pose of a body in the frame of the body above it.
@@ -228,7 +229,7 @@ fn parts(model: &Model, body: usize) -> Vec<(usize, Isometry3<f64>)> {
     while next < parts.len() {
         let (part, pose) = parts[next];
         let fixed =
-            (1..model.count(Kind::Body)).filter(|below| model.body_parent(*below) == part && !moves(model, *below));
+            (1..model.count(Object::Body)).filter(|below| model.body_parent(*below) == part && !moves(model, *below));
         parts.extend(fixed.map(|below| (below, pose * local(model, below))));
         next += 1;
     }
@@ -238,17 +239,17 @@ fn parts(model: &Model, body: usize) -> Vec<(usize, Isometry3<f64>)> {
 /// Writes the mass and inertia of parts that are fixed to one another; `None` if no link states any.
 fn inertial(model: &Model, parts: &[(usize, Isometry3<f64>)], robot: &Element) -> Option<Element> {
     let states = |body: usize| {
-        let link = robot.all("link").find(|link| link.get("name") == Some(model.name(Kind::Body, body)));
+        let link = robot.all("link").find(|link| link.get("name") == Some(model.name(Object::Body, body)));
         link.is_some_and(|link| link.all("inertial").next().is_some())
     };
     let heavy: Vec<_> = parts.iter().filter(|(body, _)| states(*body)).collect();
     if let [(body, pose)] = heavy[..]
         && *pose == Isometry3::identity()
     {
-        let inertial = Element::new("inertial").with("pos", list(&model.body_centre_of_mass(*body)));
-        let inertial = inertial.with("quat", list(&model.body_inertia_quaternion(*body)));
+        let inertial = Element::new("inertial").with("pos", spaced(&model.body_centre_of_mass(*body)));
+        let inertial = inertial.with("quat", spaced(&model.body_inertia_quaternion(*body)));
         let inertial = inertial.with("mass", model.body_mass()[*body]);
-        return Some(inertial.with("diaginertia", list(&model.body_inertia(*body))));
+        return Some(inertial.with("diaginertia", spaced(&model.body_inertia(*body))));
     }
     let centre = |(body, pose): &(usize, Isometry3<f64>)| pose * Point3::from(model.body_centre_of_mass(*body));
     let mass: f64 = heavy.iter().map(|part| model.body_mass()[part.0]).sum();
@@ -268,8 +269,8 @@ fn inertial(model: &Model, parts: &[(usize, Isometry3<f64>)], robot: &Element) -
         .sum();
     (mass > 0.0).then(|| {
         let full = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)].map(|at| tensor[at]);
-        let inertial = Element::new("inertial").with("pos", list(middle.as_slice())).with("mass", mass);
-        inertial.with("fullinertia", list(&full))
+        let inertial = Element::new("inertial").with("pos", spaced(middle.as_slice())).with("mass", mass);
+        inertial.with("fullinertia", spaced(&full))
     })
 }
 
@@ -277,36 +278,36 @@ fn inertial(model: &Model, parts: &[(usize, Isometry3<f64>)], robot: &Element) -
 fn written_geom(model: &Model, geom: usize, part: &Isometry3<f64>) -> Element {
     let shape = model.geom(geom);
     let kind = match shape.shape {
-        Shape::Sphere => "sphere",
-        Shape::Capsule => "capsule",
-        Shape::Cylinder => "cylinder",
+        GeomShape::Sphere => "sphere",
+        GeomShape::Capsule => "capsule",
+        GeomShape::Cylinder => "cylinder",
         _ => "box",
     };
     let ([x, y, z], [w, i, j, k]) = (shape.position, shape.quaternion);
     let turn = UnitQuaternion::new_normalize(Quaternion::new(w, i, j, k));
     let pose = part * Isometry3::from_parts(Translation3::new(x, y, z), turn);
-    let written = Element::new("geom").with("type", kind).with("size", list(&shape.size));
-    let written = written.with("pos", list(pose.translation.vector.as_slice()));
+    let written = Element::new("geom").with("type", kind).with("size", spaced(&shape.size));
+    let written = written.with("pos", spaced(pose.translation.vector.as_slice()));
     // Without a mass in its link, a part has none.
     written.with("quat", quaternion(&pose.rotation)).with("mass", 0)
 }
 
 fn quaternion(turn: &UnitQuaternion<f64>) -> String {
-    list(&[turn.w, turn.i, turn.j, turn.k])
+    spaced(&[turn.w, turn.i, turn.j, turn.k])
 }
 
 fn written_joint(model: &Model, joint: usize, robot: &Element) -> Element {
-    let name = model.name(Kind::Joint, joint);
+    let name = model.name(Object::Joint, joint);
     if model.is_free(joint) {
         return Element::new("freejoint").with("name", name);
     }
     let mut element = Element { place: place(robot, "joint", name), ..Element::new("joint") };
     element.set("name", name);
     element.set("type", if model.is_hinge(joint) { "hinge" } else { "slide" });
-    element.set("pos", list(&model.joint_anchor(joint)));
-    element.set("axis", list(&model.joint_axis(joint)));
+    element.set("pos", spaced(&model.joint_anchor(joint)));
+    element.set("axis", spaced(&model.joint_axis(joint)));
     if model.joint_is_limited(joint) {
-        element.set("range", list(&model.joint_range(joint)));
+        element.set("range", spaced(&model.joint_range(joint)));
     }
     element
 }
@@ -314,8 +315,4 @@ fn written_joint(model: &Model, joint: usize, robot: &Element) -> Element {
 /// Returns where the URDF has a link or joint.
 fn place(robot: &Element, kind: &str, name: &str) -> Place {
     robot.all(kind).find(|element| element.get("name") == Some(name)).map_or(Place::default(), |element| element.place)
-}
-
-fn list(numbers: &[f64]) -> String {
-    numbers.iter().map(f64::to_string).collect::<Vec<_>>().join(" ")
 }

@@ -1,5 +1,9 @@
 //! The words of MJCF: those of MuJoCo 2.2.2 that are passed to it, and those of newer ones that are left out.
 
+/// Sections that are left out.
+pub(super) const LEFT_OUT_SECTIONS: [&str; 7] =
+    ["option", "size", "sensor", "contact", "statistic", "visual", "extension"];
+
 /// Elements that are passed to MuJoCo, and the attributes that MuJoCo 2.2.2 knows of them, as `mj_printSchema` lists them. In
 /// `<default>`, the same.
 const KNOWN: &[(&str, &[&str])] = &[

@@ -12,7 +12,7 @@ use crate::config::Config;
 use crate::estimate::contact::ContactNetwork;
 use crate::estimate::external_force::ExternalForces;
 use crate::estimate::{SensorFault, SensorNoise};
-use crate::mujoco::{self, Data, Kind};
+use crate::mujoco::{self, Data, Object};
 use crate::policy::Controller;
 use crate::robot::{GRAVITY_M_S2, Joints, RobotState, joint_name};
 use crate::scenario::trace::{Event, EventKind, Felt, Frame, Pose, Trace};
@@ -370,7 +370,7 @@ enum PlaybackFault {
 
 /// Returns the body from which the distance to the script's goal is measured.
 fn goal_body(script: &Script, sim: &Sim) -> mujoco::Result<Option<usize>> {
-    let body = |goal: &Goal| goal.from.map_or(Ok(0), |name| sim.data().model().id(Kind::Body, name));
+    let body = |goal: &Goal| goal.from.map_or(Ok(0), |name| sim.data().model().id(Object::Body, name));
     script.goal.as_ref().map(body).transpose()
 }
 
@@ -379,7 +379,7 @@ fn array<const N: usize>(values: &[f64]) -> [f64; N] {
 }
 
 fn poses(data: &Data) -> Vec<Pose> {
-    (0..data.model().count(Kind::Body)).map(|body| pose(data, body)).collect()
+    (0..data.model().count(Object::Body)).map(|body| pose(data, body)).collect()
 }
 
 fn pose(data: &Data, body: usize) -> Pose {

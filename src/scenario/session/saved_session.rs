@@ -17,8 +17,8 @@ use serde::{Deserialize, Serialize};
 
 use super::{AgentCache, AgentCacheError, Input, LiveSession, LiveSessionError, RATE_HZ, RobotStep, Setup};
 use crate::policy::compliance::PolicyCalibration;
+use crate::provenance;
 use crate::util::files::{self, FileError};
-use crate::util::provenance;
 
 /// Version of the format; additions do not change it.
 const FORMAT: u32 = 1;

@@ -112,7 +112,7 @@ impl Event {
 /// How a disturbance is drawn.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case", tag = "kind")]
-pub enum Mark {
+pub enum DisturbanceMark {
     /// An arrow: a sudden change of the trunk's velocity.
     Push {
         /// Change of velocity, world frame [m/s].

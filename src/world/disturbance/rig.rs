@@ -13,7 +13,7 @@ use nalgebra::{Rotation2, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::{Event, StepTime};
-use crate::mujoco::{self, Data, Kind};
+use crate::mujoco::{self, Data, Object};
 use crate::observation::Command;
 use crate::robot::RobotState;
 use crate::sim::{Buffers, Scene, Sim};
@@ -193,9 +193,9 @@ impl Memory {
     pub(super) fn new(rig: &Rig, sim: &Sim) -> mujoco::Result<Self> {
         let model = sim.data().model();
         let load = &rig.load.name;
-        let joint = model.id(Kind::Joint, load)?;
+        let joint = model.id(Object::Joint, load)?;
         let holder = |name: &str| {
-            let body = model.id(Kind::Body, name)?;
+            let body = model.id(Object::Body, name)?;
             model.mocap_index(body).ok_or_else(|| mujoco::Error::Name {
                 kind: "body moved from outside",
                 name: name.to_owned(),
@@ -203,13 +203,13 @@ impl Memory {
             })
         };
         Ok(Memory {
-            tendon: model.id(Kind::Tendon, ROPE)?,
-            load: model.id(Kind::Body, load)?,
-            load_geom: model.id(Kind::Geom, load)?,
+            tendon: model.id(Object::Tendon, ROPE)?,
+            load: model.id(Object::Body, load)?,
+            load_geom: model.id(Object::Geom, load)?,
             load_position: model.joint_position_index(joint),
             load_velocity: model.joint_velocity_index(joint),
             holders: rig.holders.iter().map(|it| holder(&it.name)).collect::<mujoco::Result<_>>()?,
-            sites: rig.path().map(|name| model.id(Kind::Site, name)).collect::<mujoco::Result<_>>()?,
+            sites: rig.path().map(|name| model.id(Object::Site, name)).collect::<mujoco::Result<_>>()?,
             phase: Phase::Carried,
             has_hit: false,
             is_grounded: false,
@@ -267,7 +267,7 @@ impl Memory {
         if let (false, Some(part)) = (self.has_hit, touched) {
             self.has_hit = true;
             let model = data.model();
-            let part = model.name(Kind::Body, model.geom_body(part));
+            let part = model.name(Object::Body, model.geom_body(part));
             let text = format!("the {} hits {part} at {:.2} m/s", rig.load.name, self.speed_m_s);
             // Disturbances are dated at the beginning of their step.
             events.push(Event::disturbance(time_s - sim.policy_period_s(), text));

@@ -14,9 +14,9 @@ use nalgebra::Vector3;
 
 use serde::{Deserialize, Serialize};
 
-use super::Mark;
+use super::DisturbanceMark;
 use super::rig::RopeForces;
-use crate::mujoco::{self, Data, Kind};
+use crate::mujoco::{self, Data, Object};
 use crate::robot::HARNESS;
 use crate::sim::Sim;
 
@@ -72,11 +72,11 @@ pub struct SpringState {
 
 impl Spring {
     /// Returns how a force of this size is drawn \[N\].
-    pub(in crate::world) fn mark(&self, force_n: f64) -> Option<Mark> {
+    pub(in crate::world) fn mark(&self, force_n: f64) -> Option<DisturbanceMark> {
         let force = [force_n * self.direction[0], force_n * self.direction[1], 0.0];
         (force_n > 0.0).then_some(match self.end {
-            SpringEnd::Hand => Mark::Rope { force },
-            SpringEnd::Wall => Mark::Press { force },
+            SpringEnd::Hand => DisturbanceMark::Rope { force },
+            SpringEnd::Wall => DisturbanceMark::Press { force },
         })
     }
 
@@ -105,7 +105,7 @@ pub(in crate::world) struct Memory {
 impl Memory {
     /// Looks up the site at the trunk's centre of mass.
     pub(super) fn new(sim: &Sim) -> mujoco::Result<Self> {
-        let harness = sim.data().model().id(Kind::Site, HARNESS)?;
+        let harness = sim.data().model().id(Object::Site, HARNESS)?;
         Ok(Memory { harness, start_m: None, stretch_m: None, forces: RopeForces::default(), has_acted: false })
     }
 

@@ -15,7 +15,7 @@ const SESSION: &str = "Sessions";
 /// Prints an address and opens it: the robots in rerun's viewer beside the controls. Policies, robots and scene can be changed
 /// while it runs.
 #[derive(Parser, Debug)]
-#[command(name = env!("CARGO_BIN_NAME"), version = supple::util::provenance::version())]
+#[command(name = env!("CARGO_BIN_NAME"), version = supple::provenance::version())]
 pub struct Args {
     /// Policy file, run folder, YAML file of an external policy, or name of a shipped policy [default: real,
     /// told to yield to a hand by 0.03 m/s/N]

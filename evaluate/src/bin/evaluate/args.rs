@@ -16,7 +16,7 @@ use supple_evaluate::protocol::Protocol;
 /// Runs the paper's experiments with every policy of all sets, on all cores, and writes report.html, figures, tables and
 /// summary.json. Finished experiments are not repeated: a second call with the same policies only writes the report.
 #[derive(Parser, Debug)]
-#[command(name = env!("CARGO_BIN_NAME"), version = supple::util::provenance::version())]
+#[command(name = env!("CARGO_BIN_NAME"), version = supple::provenance::version())]
 pub struct Args {
     /// Experiments to run [default: all]
     #[arg(value_name = "EXPERIMENT", value_parser = experiments())]

@@ -19,7 +19,7 @@ const OUTPUT: &str = "Output";
 ///
 /// Plays a scenario with one policy or two, prints what happened, and leaves a recording for the rerun viewer.
 #[derive(Parser, Debug)]
-#[command(name = env!("CARGO_BIN_NAME"), version = supple::util::provenance::version())]
+#[command(name = env!("CARGO_BIN_NAME"), version = supple::provenance::version())]
 pub struct Args {
     /// Policy file, run folder, YAML file of an external policy, or name of a shipped policy; with @C behind it, this robot has
     /// the commanded compliance C (m/s/N) instead of --compliance [default: compliant]

@@ -4,12 +4,12 @@ use std::io::{self, Write};
 
 use anyhow::Context;
 use serde_json::{Value, json};
+use supple::provenance::{git_revision, mujoco_version};
 use supple::scenario::Sensing;
 use supple::scenario::catalog::Scenario;
 use supple::scenario::metrics::{self, Metric};
 use supple::scenario::trace::{Frame, Trace};
 use supple::util::files::{self, Target};
-use supple::util::provenance::{git_revision, mujoco_version};
 use supple::util::terminal;
 
 use crate::args::Args;

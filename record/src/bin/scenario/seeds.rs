@@ -3,9 +3,9 @@
 use std::ops::RangeInclusive;
 
 use serde_json::{Map, Value, json};
+use supple::provenance::{git_revision, mujoco_version};
 use supple::scenario::catalog::Scenario;
 use supple::scenario::metrics::Metric;
-use supple::util::provenance::{git_revision, mujoco_version};
 
 use crate::output::undefined;
 

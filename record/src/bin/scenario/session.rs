@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use serde_json::json;
+use supple::provenance::{git_revision, mujoco_version};
 use supple::scenario::session::{SavedSession, Take, takes};
-use supple::util::provenance::{git_revision, mujoco_version};
 
 use crate::args::Args;
 use crate::output::{self, Outcome};

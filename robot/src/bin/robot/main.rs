@@ -15,7 +15,7 @@ use supple_robot::dds::{NodeError, Place};
 
 /// Bring policies onto a Go2, or be a simulated Go2 for any controller.
 #[derive(Parser, Debug)]
-#[command(name = env!("CARGO_BIN_NAME"), version = supple::util::provenance::version())]
+#[command(name = env!("CARGO_BIN_NAME"), version = supple::provenance::version())]
 struct Program {
     #[command(subcommand)]
     what: What,

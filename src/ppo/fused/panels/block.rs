@@ -1,21 +1,17 @@
 //! Forward and backward pass of one network over one block of rows of a minibatch.
 
-use std::sync::RwLockReadGuard;
-
 use pulp::Arch;
 
 use super::panel::Panel;
 use crate::network::BLOCK;
-use crate::network::kernels::{Buffer, Ends, Matrix, PANEL, Product, Stretch};
+use crate::network::kernels::{AlignedBuffer, Ends, Matrix, PANEL, Product, Stretch};
 use crate::network::{Mlp, panel};
+use crate::ppo::fused::LayerPanels;
 use crate::ppo::fused::losses::Pass;
-
-/// A layer's panels, locked for reading.
-pub type LayerPanels<'a, 'b> = &'a [RwLockReadGuard<'b, Panel>];
 
 /// Activations and loss gradients of up to [`BLOCK`] rows in one network.
 #[derive(Debug)]
-pub struct Block {
+pub struct PanelBlock {
     /// Number of outputs of the network.
     outputs: usize,
     /// Number of rows in use.
@@ -25,22 +21,22 @@ pub struct Block {
     /// Gradient of the loss by each layer's output before ELU, shape (rows, outputs of the layer).
     pub deltas: Vec<Matrix>,
     /// Output of the last layer, row by row, for the loss, shape (rows, outputs).
-    output: Buffer,
-    output_deltas: Buffer,
+    output: AlignedBuffer,
+    output_deltas: AlignedBuffer,
 }
 
-impl Block {
+impl PanelBlock {
     /// Allocates room for one block of `mlp`.
     pub fn new(mlp: &Mlp) -> Self {
         let room = |columns: usize| Matrix::zeros(BLOCK, columns);
         let (outputs, of_layers) = (mlp.outputs(), || mlp.layers.iter().map(|layer| room(layer.outputs())));
         let activations = std::iter::once(room(mlp.inputs())).chain(of_layers()).collect();
-        let [output, output_deltas] = [(); 2].map(|()| Buffer::zeros(BLOCK * outputs));
+        let [output, output_deltas] = [(); 2].map(|()| AlignedBuffer::zeros(BLOCK * outputs));
         Self { outputs, rows: 0, activations, deltas: of_layers().collect(), output, output_deltas }
     }
 
     /// Gathers the inputs of `rows` and evaluates the network.
-    pub fn forward(&mut self, arch: Arch, layers: &[LayerPanels<'_, '_>], observations: &[f32], rows: &[u32]) {
+    pub fn forward(&mut self, arch: Arch, layers: &[LayerPanels<'_, '_, Panel>], observations: &[f32], rows: &[u32]) {
         self.rows = rows.len();
         let size = layers[0][0].inputs;
         for (to, &row) in rows.iter().enumerate() {
@@ -63,7 +59,7 @@ impl Block {
     }
 
     /// Propagates the loss gradient from the last layer's output back to the first layer's.
-    pub fn backward(&mut self, arch: Arch, layers: &[LayerPanels<'_, '_>]) {
+    pub fn backward(&mut self, arch: Arch, layers: &[LayerPanels<'_, '_, Panel>]) {
         let (last, rows) = (layers.len() - 1, self.output_deltas.chunks(self.outputs).take(self.rows).enumerate());
         rows.for_each(|(row, values)| self.deltas[last].set_row(row, values));
         for (i, panels) in layers.iter().enumerate().skip(1).rev() {

@@ -12,13 +12,13 @@ use std::sync::RwLock;
 
 use pulp::Arch;
 
-use self::block::{Block, LayerPanels};
+use self::block::PanelBlock;
 use self::panel::Panel;
 use super::losses::Pass;
-use super::optimizer::{Adam, AdamStep, Parameters};
+use super::optimizer::{Adam, AdamParameters, AdamStep};
 use super::team::{Member, read, write};
-use super::{Arithmetic, Chunk};
-use crate::network::kernels::{Buffer, ColumnSums, Ends, PANEL, Product, Stretch, SumOfSquares};
+use super::{Arithmetic, Chunk, LayerPanels};
+use crate::network::kernels::{AlignedBuffer, ColumnSums, Ends, PANEL, Product, Stretch, SumOfSquares};
 use crate::network::panel::{panel_outputs, panel_starts, unpack};
 use crate::network::{ActorCritic, BLOCK};
 use crate::ppo::loss::Minibatch;
@@ -30,7 +30,7 @@ pub struct Panels {
     /// Panels of both networks, layer by layer.
     panels: Vec<RwLock<Panel>>,
     /// Blocks of the policy and of the value function.
-    blocks: [Vec<RwLock<Block>>; 2],
+    blocks: [Vec<RwLock<PanelBlock>>; 2],
     /// Number of layers of the policy.
     depth: usize,
 }
@@ -51,8 +51,8 @@ impl Arithmetic for Panels {
                 panels.extend(panel_starts(layer.outputs()).map(panel));
             }
         }
-        let blocks =
-            [&parts[0].policy, &parts[0].value].map(|mlp| (0..blocks).map(|_| RwLock::new(Block::new(mlp))).collect());
+        let blocks = [&parts[0].policy, &parts[0].value]
+            .map(|mlp| (0..blocks).map(|_| RwLock::new(PanelBlock::new(mlp))).collect());
         Self { arch: Arch::new(), panels, blocks, depth: parts[0].policy.layers.len() }
     }
 
@@ -62,7 +62,7 @@ impl Arithmetic for Panels {
         let panels: Vec<_> = self.panels.iter().map(read).collect();
         let layers: Vec<_> = panels.chunk_by(|a, b| (a.network, a.depth) == (b.network, b.depth)).collect();
         let (policy, value) = layers.split_at(self.depth);
-        let networks: [&[LayerPanels<'_, '_>]; 2] = [policy, value];
+        let networks: [&[LayerPanels<'_, '_, _>]; 2] = [policy, value];
         let inputs = [minibatch.batch.observations, minibatch.batch.value_inputs()];
         let task = |task: usize| {
             let (network, index) = (task / chunk.blocks, task % chunk.blocks);
@@ -114,7 +114,7 @@ impl Arithmetic for Panels {
         self.panels.len()
     }
 
-    fn gradient(&self, panel: usize, with: impl FnOnce(&mut Buffer)) -> f64 {
+    fn gradient(&self, panel: usize, with: impl FnOnce(&mut AlignedBuffer)) -> f64 {
         let panel = &mut *write(&self.panels[panel]);
         with(&mut panel.parameters.gradient);
         self.arch.dispatch(SumOfSquares(&panel.parameters.gradient))
@@ -129,7 +129,7 @@ impl Arithmetic for Panels {
         team.phase(self.panels.len(), task, || ());
     }
 
-    fn unpack(&self, part: fn(&Parameters) -> &Buffer, networks: &mut ActorCritic) {
+    fn unpack(&self, part: fn(&AdamParameters) -> &AlignedBuffer, networks: &mut ActorCritic) {
         for panel in self.panels.iter().map(read) {
             let mlp = if panel.network == 0 { &mut networks.policy } else { &mut networks.value };
             unpack(part(&panel.parameters), panel.first, &mut mlp.layers[panel.depth]);

@@ -1,9 +1,9 @@
 //! A panel of 32 outputs in training, differentiated and stepped as a unit.
 
 use crate::network::Layer;
-use crate::network::kernels::{Buffer, PANEL, Row};
+use crate::network::kernels::{AlignedBuffer, PANEL, Row};
 use crate::network::panel::{pack, panel_outputs};
-use crate::ppo::fused::optimizer::Parameters;
+use crate::ppo::fused::optimizer::AdamParameters;
 use crate::ppo::fused::tree::Tree;
 
 /// A panel of 32 outputs in training.
@@ -20,10 +20,10 @@ pub struct Panel {
     /// Index of the panel's first output in the layer.
     pub first: usize,
     /// Weights and biases: a row for each input, the bias last.
-    pub parameters: Parameters,
+    pub parameters: AdamParameters,
     /// Transposed weights for the backward product: panels of 32 inputs, a row for each output. Empty in the first
     /// layer, whose input needs no gradient.
-    transposed: Buffer,
+    transposed: AlignedBuffer,
     /// Partial sums of the shards' gradients.
     pub tree: Tree,
     /// Sum of squares of the gradient.
@@ -42,8 +42,8 @@ impl Panel {
             inputs,
             layer_outputs,
             first,
-            parameters: Parameters::new([values, first_moment, second_moment].map(|layer| pack(layer, first))),
-            transposed: Buffer::zeros(transposed),
+            parameters: AdamParameters::new([values, first_moment, second_moment].map(|layer| pack(layer, first))),
+            transposed: AlignedBuffer::zeros(transposed),
             tree: Tree::default(),
             squares: 0.0,
         };

@@ -4,18 +4,17 @@ product are loaded once for both.
 Between two layers 32 columns at a time come out of the tile unit as sums, and the vector units turn them into operands.
 */
 
-use std::arch::x86_64::_CMP_NGT_UQ;
-use std::mem;
-use std::sync::RwLockReadGuard;
-
 use pulp::x86::V4;
 use pulp::{NullaryFnOnce, Simd, cast, f32x16};
+use std::arch::x86_64::_CMP_NGT_UQ;
+use std::mem;
 
 use super::pack::{get, put, split, transpose};
-use super::panel::Panel;
+use super::panel::TilePanel;
 use super::unit::{Operand, SQUARE, Square, TileUnit};
 use crate::network::Mlp;
-use crate::network::kernels::Buffer;
+use crate::network::kernels::AlignedBuffer;
+use crate::ppo::fused::LayerPanels;
 use crate::ppo::fused::losses::Pass;
 
 /// Number of rows in a block.
@@ -24,21 +23,18 @@ pub const ROWS: usize = 32 * HALVES;
 /// Number of products of 32 rows in a block.
 pub const HALVES: usize = 2;
 
-/// A layer's panels, locked for reading.
-pub type LayerPanels<'a, 'b> = &'a [RwLockReadGuard<'b, Panel>];
-
 /// Inputs and deltas of up to 64 rows, for the gradients of the weights. Columns are counted in units of 32.
 #[derive(Debug)]
-pub struct Block {
+pub struct TileBlock {
     /// Input of each layer as right operands, one for each 32 columns.
     pub inputs: Vec<Vec<[Operand<1>; HALVES]>>,
     /// Gradient of the loss by each layer's output before ELU, as left operands, one for each 32 columns.
     pub deltas: Vec<Vec<[Operand<1>; HALVES]>>,
     /// Sums of each layer's deltas over the rows.
-    pub bias: Vec<Buffer>,
+    pub bias: Vec<AlignedBuffer>,
     /// Output of the last layer, shape (64, columns of the last layer).
-    outputs: Buffer,
-    output_deltas: Buffer,
+    outputs: AlignedBuffer,
+    output_deltas: AlignedBuffer,
 }
 
 /// Scratch memory of one thread for a block, reused from block to block.
@@ -49,7 +45,7 @@ pub struct Workspace {
     /// Left operands of the backward product: the gradients by a layer's output and input.
     backward: [Vec<[Operand<1>; HALVES]>; 2],
     /// Sums from the tile unit.
-    sums: Buffer,
+    sums: AlignedBuffer,
     /// Deltas before they are transposed.
     rows: Operand<1>,
 }
@@ -61,13 +57,13 @@ impl Workspace {
             unit,
             forward: [(); 2].map(|()| vec![[Operand::ZERO; HALVES]; widest]),
             backward: [(); 2].map(|()| vec![[Operand::ZERO; HALVES]; widest]),
-            sums: Buffer::zeros(SQUARE),
+            sums: AlignedBuffer::zeros(SQUARE),
             rows: Operand::ZERO,
         }
     }
 }
 
-impl Block {
+impl TileBlock {
     /// Allocates room for one block of `mlp`.
     pub fn new(mlp: &Mlp) -> Self {
         let operands = |columns: usize| vec![[Operand::ZERO; HALVES]; columns.div_ceil(32)];
@@ -75,9 +71,9 @@ impl Block {
         Self {
             inputs: mlp.layers.iter().map(|layer| operands(layer.inputs())).collect(),
             deltas: mlp.layers.iter().map(|layer| operands(layer.outputs())).collect(),
-            bias: mlp.layers.iter().map(|layer| Buffer::zeros(layer.outputs().next_multiple_of(32))).collect(),
-            outputs: Buffer::zeros(outputs),
-            output_deltas: Buffer::zeros(outputs),
+            bias: mlp.layers.iter().map(|layer| AlignedBuffer::zeros(layer.outputs().next_multiple_of(32))).collect(),
+            outputs: AlignedBuffer::zeros(outputs),
+            output_deltas: AlignedBuffer::zeros(outputs),
         }
     }
 
@@ -85,7 +81,7 @@ impl Block {
     pub fn forward(
         &mut self,
         workspace: &mut Workspace,
-        layers: &[LayerPanels<'_, '_>],
+        layers: &[LayerPanels<'_, '_, TilePanel>],
         (observations, size): (&[f32], usize),
         rows: &[u32],
     ) {
@@ -101,15 +97,15 @@ impl Block {
     }
 
     /// Propagates the loss gradient from the last layer's output back to the first layer's.
-    pub fn backward(&mut self, workspace: &mut Workspace, layers: &[LayerPanels<'_, '_>]) {
+    pub fn backward(&mut self, workspace: &mut Workspace, layers: &[LayerPanels<'_, '_, TilePanel>]) {
         workspace.unit.simd.vectorize(Backward { block: self, workspace, layers });
     }
 }
 
 struct Forward<'a, 'b> {
-    block: &'a mut Block,
+    block: &'a mut TileBlock,
     workspace: &'a mut Workspace,
-    layers: &'a [LayerPanels<'a, 'b>],
+    layers: &'a [LayerPanels<'a, 'b, TilePanel>],
     observations: &'a [f32],
     size: usize,
     rows: &'a [u32],
@@ -154,7 +150,7 @@ impl NullaryFnOnce for Forward<'_, '_> {
     }
 }
 
-fn square(buffer: &mut Buffer) -> &mut Square {
+fn square(buffer: &mut AlignedBuffer) -> &mut Square {
     buffer.first_chunk_mut().expect("made of that size")
 }
 
@@ -267,9 +263,9 @@ fn activate(simd: V4, sum: f32x16, bias: f32x16) -> f32x16 {
 }
 
 struct Backward<'a, 'b> {
-    block: &'a mut Block,
+    block: &'a mut TileBlock,
     workspace: &'a mut Workspace,
-    layers: &'a [LayerPanels<'a, 'b>],
+    layers: &'a [LayerPanels<'a, 'b, TilePanel>],
 }
 
 impl NullaryFnOnce for Backward<'_, '_> {

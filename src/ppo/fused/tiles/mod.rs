@@ -20,14 +20,14 @@ use pulp::x86::V4;
 
 pub use self::unit::available;
 
-use self::block::{Block, HALVES, LayerPanels, ROWS, Workspace};
-use self::panel::{Panel, unpack};
+use self::block::{HALVES, ROWS, TileBlock, Workspace};
+use self::panel::{TilePanel, unpack};
 use self::unit::{Operand, SQUARE, TileUnit, prefetch};
 use super::losses::Pass;
-use super::optimizer::{Adam, AdamStep, Parameters};
+use super::optimizer::{Adam, AdamParameters, AdamStep};
 use super::team::{Member, read, write};
-use super::{Arithmetic, Chunk};
-use crate::network::kernels::{Buffer, SumOfSquares};
+use super::{Arithmetic, Chunk, LayerPanels};
+use crate::network::kernels::{AlignedBuffer, SumOfSquares};
 use crate::network::{ActorCritic, Mlp};
 use crate::ppo::loss::Minibatch;
 
@@ -36,9 +36,9 @@ use crate::ppo::loss::Minibatch;
 pub struct Tiles {
     simd: V4,
     /// Panels of both networks, layer by layer.
-    panels: Vec<RwLock<Panel>>,
+    panels: Vec<RwLock<TilePanel>>,
     /// Blocks of the policy and of the value function.
-    blocks: [Vec<RwLock<Block>>; 2],
+    blocks: [Vec<RwLock<TileBlock>>; 2],
     /// Number of layers of the policy.
     depth: usize,
     /// Number of columns of the widest layer, in units of 32.
@@ -57,12 +57,12 @@ impl Arithmetic for Tiles {
         for (network, mlps) in [parts.map(|part| &part.policy), parts.map(|part| &part.value)].into_iter().enumerate() {
             for (depth, layer) in mlps[0].layers.iter().enumerate() {
                 let layers = mlps.map(|mlp| &mlp.layers[depth]);
-                let panel = |index| RwLock::new(Panel::new(network, depth, index, layers, simd));
+                let panel = |index| RwLock::new(TilePanel::new(network, depth, index, layers, simd));
                 panels.extend((0..layer.outputs().div_ceil(32)).map(panel));
             }
         }
         let mlps = [&parts[0].policy, &parts[0].value];
-        let blocks = mlps.map(|mlp| (0..blocks).map(|_| RwLock::new(Block::new(mlp))).collect());
+        let blocks = mlps.map(|mlp| (0..blocks).map(|_| RwLock::new(TileBlock::new(mlp))).collect());
         let widths = |mlp: &Mlp| mlp.layers.iter().map(|layer| layer.inputs().max(layer.outputs())).max();
         let widest = mlps.into_iter().filter_map(widths).max().unwrap_or(0).div_ceil(32);
         Self { simd, panels, blocks, depth: parts[0].policy.layers.len(), widest }
@@ -83,7 +83,7 @@ impl Arithmetic for Tiles {
         let panels: Vec<_> = self.panels.iter().map(read).collect();
         let layers: Vec<_> = panels.chunk_by(|a, b| (a.network, a.depth) == (b.network, b.depth)).collect();
         let (policy, value) = layers.split_at(self.depth);
-        let networks: [&[LayerPanels<'_, '_>]; 2] = [policy, value];
+        let networks: [&[LayerPanels<'_, '_, _>]; 2] = [policy, value];
         let samples = minibatch.batch.returns.len();
         let inputs = [minibatch.batch.observations, minibatch.batch.value_inputs()];
         let inputs = inputs.map(|inputs| (inputs, inputs.len() / samples));
@@ -134,7 +134,7 @@ impl Arithmetic for Tiles {
         self.panels.len()
     }
 
-    fn gradient(&self, panel: usize, with: impl FnOnce(&mut Buffer)) -> f64 {
+    fn gradient(&self, panel: usize, with: impl FnOnce(&mut AlignedBuffer)) -> f64 {
         let panel = &mut *write(&self.panels[panel]);
         with(&mut panel.parameters.gradient);
         pulp::Simd::vectorize(self.simd, SumOfSquares(&panel.parameters.gradient))
@@ -149,7 +149,7 @@ impl Arithmetic for Tiles {
         team.phase(self.panels.len(), task, || ());
     }
 
-    fn unpack(&self, part: fn(&Parameters) -> &Buffer, networks: &mut ActorCritic) {
+    fn unpack(&self, part: fn(&AdamParameters) -> &AlignedBuffer, networks: &mut ActorCritic) {
         for panel in self.panels.iter().map(read) {
             let mlp = if panel.network == 0 { &mut networks.policy } else { &mut networks.value };
             unpack(part(&panel.parameters), panel.index, &mut mlp.layers[panel.depth]);

@@ -108,13 +108,13 @@ mod tests {
     use super::*;
     use crate::ppo::fused::tiles::unit::{SQUARE, TileUnit};
 
-    type Matrix = [[f32; 32]; 32];
+    type Rows = [[f32; 32]; 32];
 
     fn lanes(row: &[f32; 32], half: usize) -> f32x16 {
         cast(*row[16 * half..].first_chunk::<16>().unwrap())
     }
 
-    fn left<const PARTS: usize>(simd: V4, a: &Matrix) -> Operand<PARTS> {
+    fn left<const PARTS: usize>(simd: V4, a: &Rows) -> Operand<PARTS> {
         let mut operand = Operand::ZERO;
         for (m, row) in a.iter().enumerate() {
             let [first, second] = [0, 1].map(|half| split::<PARTS>(simd, lanes(row, half)));
@@ -123,7 +123,7 @@ mod tests {
         operand
     }
 
-    fn right<const PARTS: usize>(simd: V4, b: &Matrix) -> Operand<PARTS> {
+    fn right<const PARTS: usize>(simd: V4, b: &Rows) -> Operand<PARTS> {
         let mut operand = Operand::ZERO;
         for k in 0..16 {
             for half in 0..2 {
@@ -136,8 +136,8 @@ mod tests {
 
     fn check<const PARTS: usize>(unit: &mut TileUnit, scale: f32, error: f64) {
         let number = |i: usize, j: usize| scale * ((i * 37 + j * 23) % 31) as f32 - 7.0;
-        let a: Matrix = std::array::from_fn(|i| std::array::from_fn(|j| number(i, j)));
-        let b: Matrix = std::array::from_fn(|i| std::array::from_fn(|j| number(j, i + 5)));
+        let a: Rows = std::array::from_fn(|i| std::array::from_fn(|j| number(i, j)));
+        let b: Rows = std::array::from_fn(|i| std::array::from_fn(|j| number(j, i + 5)));
         let (a_operand, b_operand) = (left::<PARTS>(unit.simd, &a), right::<PARTS>(unit.simd, &b));
         let mut sums = [f32::NAN; SQUARE];
         for (times, add) in [(1.0, false), (2.0, true)] {
@@ -165,7 +165,7 @@ mod tests {
     fn what_was_put_comes_back_and_transposed_pairs_stay_pairs() {
         let Some(simd) = V4::try_new() else { return };
         // No more than eight bits, as many as bf16 has.
-        let a: Matrix = std::array::from_fn(|i| std::array::from_fn(|j| ((i * 37 + j * 23) % 251) as f32 / 64.0));
+        let a: Rows = std::array::from_fn(|i| std::array::from_fn(|j| ((i * 37 + j * 23) % 251) as f32 / 64.0));
         let operand = left::<1>(simd, &a);
         let mut transposed = Operand::ZERO;
         transpose(simd, &operand, &mut transposed);

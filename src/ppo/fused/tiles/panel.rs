@@ -10,20 +10,20 @@ use pulp::{NullaryFnOnce, cast};
 use super::pack::{put, split, transpose};
 use super::unit::{Operand, SQUARE};
 use crate::network::Layer;
-use crate::network::kernels::Buffer;
-use crate::ppo::fused::optimizer::Parameters;
+use crate::network::kernels::AlignedBuffer;
+use crate::ppo::fused::optimizer::AdamParameters;
 use crate::ppo::fused::tree::Tree;
 
 /// A panel of 32 outputs in training.
 #[derive(Debug)]
-pub struct Panel {
+pub struct TilePanel {
     /// Index of the network: 0 for the policy, 1 for the value function.
     pub network: usize,
     /// Index of the layer.
     pub depth: usize,
     /// Index of the panel in its layer.
     pub index: usize,
-    pub parameters: Parameters,
+    pub parameters: AdamParameters,
     /// Right operands of the forward product, one for each 32 inputs.
     pub forward: Vec<Operand<2>>,
     /// Right operands of the backward product; empty in the first layer, whose input needs no gradient.
@@ -34,7 +34,7 @@ pub struct Panel {
     pub squares: f64,
 }
 
-impl Panel {
+impl TilePanel {
     /// Creates panel `index` of a layer, with its moments.
     pub fn new(network: usize, depth: usize, index: usize, layers: [&Layer; 3], simd: V4) -> Self {
         let inputs = layers[0].inputs().div_ceil(32);
@@ -42,7 +42,7 @@ impl Panel {
             network,
             depth,
             index,
-            parameters: Parameters::new(layers.map(|layer| pack(layer, index))),
+            parameters: AdamParameters::new(layers.map(|layer| pack(layer, index))),
             forward: vec![Operand::ZERO; inputs],
             backward: vec![Operand::ZERO; if depth == 0 { 0 } else { inputs }],
             tree: Tree::default(),
@@ -64,7 +64,7 @@ impl Panel {
 
 struct Refresh<'a> {
     simd: V4,
-    panel: &'a mut Panel,
+    panel: &'a mut TilePanel,
 }
 
 impl NullaryFnOnce for Refresh<'_> {
@@ -104,9 +104,9 @@ fn panel_outputs(layer: &Layer, index: usize) -> std::ops::Range<usize> {
     index * 32..layer.outputs().min((index + 1) * 32)
 }
 
-fn pack(layer: &Layer, index: usize) -> Buffer {
+fn pack(layer: &Layer, index: usize) -> AlignedBuffer {
     let (inputs, biases) = (layer.inputs(), layer.inputs().div_ceil(32) * SQUARE);
-    let mut values = Buffer::zeros(biases + 32);
+    let mut values = AlignedBuffer::zeros(biases + 32);
     for output in panel_outputs(layer, index) {
         values[biases + output % 32] = layer.bias[output];
         for input in 0..inputs {

@@ -1,4 +1,4 @@
-/*! The file of the contact network: tensors (weights, normaliser) and JSON (meaning of the numbers, provenance,
+/*! The contact network and its file: tensors (weights, normaliser) and JSON (meaning of the numbers, provenance,
 scores).
 
 All tensors are under a checksum, because one wrong bit would change the estimates silently.
@@ -8,12 +8,12 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::{ContactNetwork, INPUTS, RATE_HZ, TICKS};
+use super::{INPUTS, RATE_HZ, TICKS};
 use crate::estimate::SensorNoise;
-use crate::network::{Mlp, NetworkError};
+use crate::network::{Mlp, NetworkError, PackedMlp, Scratch};
 use crate::robot::{JOINTS, LEGS, joint_names};
 use crate::util::files::{self, FileError};
-use crate::util::tensors::{self, Tensor, TensorError};
+use crate::util::tensors::{self, StoredTensor, TensorError};
 
 /// Version of the file format.
 const FORMAT: u32 = 1;
@@ -23,6 +23,14 @@ const CONTACT: &str = "contact network";
 
 /// Maximum size of a contact network's file \[bytes\].
 const MAX_BYTES: u64 = 16 << 20;
+
+/// The file of the shipped network.
+const SHIPPED: &[u8] = include_bytes!("../../../models/contact.safetensors");
+
+/// Returns the SHA-256 of the shipped file.
+pub fn shipped_sha256() -> String {
+    files::sha256(&[SHIPPED])
+}
 
 /// A policy whose walking produced the training data.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -75,7 +83,7 @@ struct InputInfo {
 
 /// The JSON under the metadata key `supple`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-struct Metadata {
+struct ContactMetadata {
     format: u32,
     rate_hz: f64,
     /// Number of ticks in the input, oldest first; each has all of `inputs`.
@@ -89,16 +97,70 @@ struct Metadata {
     provenance: ContactProvenance,
 }
 
+/// A trained network, its normaliser and its origin.
+#[derive(Debug)]
+pub struct ContactNetwork {
+    /// The network from normalised inputs to a logit for each foot.
+    pub mlp: Mlp,
+    /// Mean of each input in training, physical units.
+    pub offset: Vec<f32>,
+    /// Inverse standard deviation of each input in training.
+    pub scale: Vec<f32>,
+    /// Origin of the network: data, seed and scores.
+    pub provenance: ContactProvenance,
+    packed: PackedMlp,
+}
+
 impl ContactNetwork {
+    /// Assembles the network and its normaliser.
+    ///
+    /// # Panics
+    /// The network does not map 144 numbers to 4, or the normaliser has another length.
+    pub fn new(mlp: Mlp, offset: Vec<f32>, scale: Vec<f32>, provenance: ContactProvenance) -> Self {
+        assert_eq!((mlp.inputs(), mlp.outputs()), (INPUTS, 4), "a contact network leads from 144 numbers to 4");
+        assert_eq!((offset.len(), scale.len()), (INPUTS, INPUTS), "every input has an offset and a scale");
+        ContactNetwork { packed: PackedMlp::new(&mlp), mlp, offset, scale, provenance }
+    }
+
+    /// Loads the network inside the program.
+    ///
+    /// # Errors
+    /// The program was built with a damaged file.
+    pub fn shipped() -> Result<Self, FileError> {
+        Self::from_bytes(SHIPPED, Path::new("models/contact.safetensors"))
+    }
+
+    /// Returns a warning that names the policies (name and SHA-256) whose gait the network was not trained on, if any.
+    pub fn unfamiliar<'a>(&self, policies: impl IntoIterator<Item = (String, &'a str)>) -> Option<String> {
+        let known = |sha256: &str| self.provenance.policies.iter().any(|policy| policy.sha256 == sha256);
+        let strangers: Vec<String> =
+            policies.into_iter().filter(|(_, sha256)| !known(sha256)).map(|(name, _)| name).collect();
+        (!strangers.is_empty()).then(|| {
+            format!(
+                "the contact network was not trained on how {} walks and may miss contacts; train_contact trains one",
+                strangers.join(", ")
+            )
+        })
+    }
+
+    /// Returns the logit of contact for each foot, in the order of [`crate::robot::LEGS`], for the inputs of a
+    /// [`ContactHistory`](super::ContactHistory).
+    pub fn logits(&self, inputs: &[f32; INPUTS], scratch: &mut Scratch) -> [f32; 4] {
+        let seen: [f32; INPUTS] = std::array::from_fn(|k| (inputs[k] - self.offset[k]) * self.scale[k]);
+        let mut logits = [0.0; 4];
+        self.packed.forward(1, &seen, &mut logits, scratch);
+        logits
+    }
+
     /// Serialises the file.
     ///
     /// # Errors
     /// A layer's shape does not fit its weights.
     pub fn to_bytes(&self) -> Result<Vec<u8>, safetensors::SafeTensorError> {
-        let mut all = Tensor::of_network(self.mlp.tensors("contact."));
-        all.push(Tensor::f32("normaliser.offset", vec![INPUTS], &self.offset));
-        all.push(Tensor::f32("normaliser.scale", vec![INPUTS], &self.scale));
-        let metadata = Metadata {
+        let mut all = StoredTensor::of_network(self.mlp.tensors("contact."));
+        all.push(StoredTensor::f32("normaliser.offset", vec![INPUTS], &self.offset));
+        all.push(StoredTensor::f32("normaliser.scale", vec![INPUTS], &self.scale));
+        let metadata = ContactMetadata {
             format: FORMAT,
             rate_hz: RATE_HZ,
             ticks: TICKS,
@@ -135,7 +197,8 @@ impl ContactNetwork {
     /// # Errors
     /// The bytes are damaged or have another format.
     pub fn from_bytes(bytes: &[u8], path: &Path) -> Result<Self, FileError> {
-        let advice = |fault: Fault| format!("{fault}; train one with `cargo run --release --bin train_contact`");
+        let advice =
+            |fault: ContactFileFault| format!("{fault}; train one with `cargo run --release --bin train_contact`");
         parse(bytes).map_err(advice).map_err(FileError::of(CONTACT, path))
     }
 
@@ -156,7 +219,7 @@ fn inputs() -> Vec<InputInfo> {
 
 /// A fault in the content of a contact network's file.
 #[derive(Debug, thiserror::Error)]
-enum Fault {
+enum ContactFileFault {
     #[error(transparent)]
     Tensors(#[from] TensorError),
     #[error("its network: {0}")]
@@ -169,9 +232,9 @@ enum Fault {
     Damaged { found: String, expected: String },
 }
 
-fn parse(bytes: &[u8]) -> Result<ContactNetwork, Fault> {
+fn parse(bytes: &[u8]) -> Result<ContactNetwork, ContactFileFault> {
     let (tensors, json) = tensors::deserialize(bytes)?;
-    let metadata: Metadata = serde_json::from_str(&json).map_err(TensorError::Metadata)?;
+    let metadata: ContactMetadata = serde_json::from_str(&json).map_err(TensorError::Metadata)?;
     metadata.check()?;
     let network = tensors::read_group(&tensors, "contact.")?;
     let mlp = Mlp::from_tensors(network, INPUTS, LEGS.len())?;
@@ -180,15 +243,15 @@ fn parse(bytes: &[u8]) -> Result<ContactNetwork, Fault> {
     let network = ContactNetwork::new(mlp, offset, scale, metadata.provenance);
     let found = network.checksum();
     if found != metadata.checksum {
-        return Err(Fault::Damaged { found, expected: metadata.checksum });
+        return Err(ContactFileFault::Damaged { found, expected: metadata.checksum });
     }
     Ok(network)
 }
 
-impl Metadata {
-    fn check(&self) -> Result<(), Fault> {
+impl ContactMetadata {
+    fn check(&self) -> Result<(), ContactFileFault> {
         let expect = |key: &'static str, found: String, expected: String| {
-            if found == expected { Ok(()) } else { Err(Fault::Value { key, found, expected }) }
+            if found == expected { Ok(()) } else { Err(ContactFileFault::Value { key, found, expected }) }
         };
         expect("format", self.format.to_string(), FORMAT.to_string())?;
         expect("rate", format!("{} Hz", self.rate_hz), format!("{RATE_HZ} Hz"))?;
@@ -198,7 +261,7 @@ impl Metadata {
         expect("list of outputs", format!("{:?}", self.outputs), format!("{LEGS:?}"))?;
         let scores = self.provenance.held_out.len();
         expect("number of scored feet", scores.to_string(), LEGS.len().to_string())?;
-        if self.inputs == inputs() { Ok(()) } else { Err(Fault::Inputs(self.inputs.clone())) }
+        if self.inputs == inputs() { Ok(()) } else { Err(ContactFileFault::Inputs(self.inputs.clone())) }
     }
 }
 
@@ -269,5 +332,14 @@ mod tests {
         assert!(refusal(b"no such thing").contains("was it cut off"));
         let missing = ContactNetwork::load(Path::new("nowhere/contact.safetensors")).unwrap_err().to_string();
         assert!(missing.contains("nowhere/contact.safetensors"), "{missing}");
+    }
+
+    #[test]
+    fn shipped_network_reaches_stated_scores() {
+        let network = ContactNetwork::shipped().unwrap();
+        assert!(network.provenance.held_out.iter().all(|foot| foot.f1 > 0.95), "{:?}", network.provenance.held_out);
+        // With any inputs the answer is a number.
+        let logits = network.logits(&[0.0; INPUTS], &mut Scratch::default());
+        assert!(logits.iter().all(|logit| logit.is_finite()));
     }
 }

@@ -47,12 +47,12 @@ pub fn git_revision() -> &'static str {
 #[doc(hidden)]
 pub use git_version::git_version;
 
-/// Calls [`set_git_revision`](crate::util::provenance::set_git_revision) with the revision that the calling crate is
+/// Calls [`set_git_revision`](crate::provenance::set_git_revision) with the revision that the calling crate is
 /// built from. Call it in `main` of a program: the calling crate is recompiled after every commit.
 #[macro_export]
 macro_rules! announce_revision {
     () => {
-        $crate::util::provenance::set_git_revision($crate::util::provenance::git_version!(
+        $crate::provenance::set_git_revision($crate::provenance::git_version!(
             args = ["--always", "--dirty", "--abbrev=12", "--exclude=*"],
             fallback = "unknown"
         ))

@@ -1,28 +1,10 @@
-/*! Descriptions of policies from the files of their frameworks.
+//! What the files of other frameworks say of a policy, in the terms of a description of ours.
 
-[`translate`] reads the `deploy.yaml` of unitree_rl_lab and unitree_rl_mjlab (`deploy`), or the metadata of an ONNX file as mjlab
-and Isaac Lab projects write them (`metadata`). Both become a [`Found`], whose text has a comment `check this` wherever the file
-says nothing and a default is taken.
-*/
-
-use std::path::Path;
-
-use super::text::Description;
-use super::{deploy, metadata};
-use crate::config::{Gain, RobotModel, Simulation};
+use crate::config::Gain;
 use crate::observation::{Ages, Numbers, Observed, Quantity};
 use crate::policy::inference::Meaning;
 use crate::robot::{JOINTS, joint_names};
 use crate::util::files::FileError;
-
-/// Name of the file type in error messages.
-const SOURCE: &str = "policy";
-
-/// Robot that is assumed where none is named.
-const ROBOT: &str = "go2";
-
-/// Smallest physics rate that is assumed where a file has none \[Hz\]: that of Isaac Lab and mjlab at 50 policy steps a second.
-const PHYSICS_RATE_HZ: u32 = 200;
 
 /// Longest history of a term \[policy steps\].
 pub(super) const MAX_HISTORY: u32 = 200;
@@ -48,7 +30,7 @@ pub(super) struct Found {
 
 /// A part of a file that has no counterpart in a description of ours, or that is wrong.
 #[derive(Debug, thiserror::Error)]
-pub(super) enum Fault {
+pub(super) enum TranslationFault {
     #[error("{key} {found}, expected {expected}")]
     Value { key: String, found: String, expected: String },
     #[error("it has no {key}{remedy}")]
@@ -61,59 +43,10 @@ pub(super) enum Fault {
     File(#[from] FileError),
 }
 
-/// Returns the YAML description, for the ONNX file `onnx`, of the policy that a file of its framework describes: a `deploy.yaml`,
-/// or an ONNX file with metadata. The robot is `robot` or, if none is given, the Go2 with a comment.
-///
-/// # Errors
-/// The file cannot be read, or says something that a description cannot state; the error names the key, what was found and what
-/// was expected.
-pub fn translate(source: &Path, onnx: &str, robot: Option<&str>) -> Result<String, FileError> {
-    let is_onnx = source.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("onnx"));
-    let found = if is_onnx { metadata::read(source) } else { deploy::read(source) };
-    let mut found = found.map_err(|fault| match fault {
-        Fault::File(error) => error,
-        fault => FileError::of(SOURCE, source)(fault),
-    })?;
-    if robot.is_none() {
-        found.notes.push(("robot", "check this: the file names no robot"));
-    }
-    let policy_rate_hz = found.policy_rate_hz;
-    found.notes.push(("physics_rate_hz", "check this: the file has none"));
-    found.notes.push(("latency_s", "check this: the file has none; delay of the joint target"));
-    let description = Description {
-        title: format!(
-            "{onnx} as {} describes it, by `policy describe`. Check what is marked.",
-            source.file_name().unwrap_or_default().display()
-        ),
-        onnx,
-        robot: &RobotModel {
-            model: robot.unwrap_or(ROBOT).to_owned(),
-            friction_loss_n_m: 0.0,
-            damping_n_m_s_per_rad: 0.0,
-        },
-        simulation: &Simulation {
-            physics_rate_hz: policy_rate_hz * PHYSICS_RATE_HZ.div_ceil(policy_rate_hz),
-            policy_rate_hz,
-            kp_n_m_per_rad: found.kp_n_m_per_rad,
-            kd_n_m_s_per_rad: found.kd_n_m_s_per_rad,
-            latency_s: 0.0,
-        },
-        joints: found.joints,
-        nominal_pose: &found.nominal_pose,
-        observation: found.observation,
-        history: found.history,
-        meaning: match found.meaning {
-            Meaning::OffsetFromNominal => "offset_from_nominal",
-            Meaning::JointAngle => "joint_angle",
-        },
-        scale_rad: found.scale_rad,
-        notes: &found.notes,
-    };
-    Ok(description.to_string())
-}
+pub(super) type Result<T> = std::result::Result<T, TranslationFault>;
 
 /// Returns the quantity of a term of Isaac Lab's observations; `joint_pos` is what that name stands for in the file.
-pub(super) fn quantity(term: &str, joint_pos: Quantity) -> Result<Quantity, Fault> {
+pub(super) fn quantity(term: &str, joint_pos: Quantity) -> Result<Quantity> {
     let needs = match term {
         "base_lin_vel" => return Ok(Quantity::BaseVelocity),
         "base_ang_vel" => return Ok(Quantity::AngularVelocity),
@@ -137,7 +70,7 @@ pub(super) fn quantity(term: &str, joint_pos: Quantity) -> Result<Quantity, Faul
              hand, as examples/policies/rsl_rl.yaml does, or train without it"
         }
     };
-    Err(Fault::Term { term: term.to_owned(), needs: needs.to_owned() })
+    Err(TranslationFault::Term { term: term.to_owned(), needs: needs.to_owned() })
 }
 
 /// Returns the ages of a history of `length` steps, the oldest first, as Isaac Lab has it; a length of 0 is 1.
@@ -151,17 +84,17 @@ pub(super) fn steps_ago(ages: &[u32]) -> Option<Ages> {
 }
 
 /// Checks that a list has one finite number for each joint of a quadruped.
-pub(super) fn for_each_joint(key: &str, found: &[f64]) -> Result<[f64; JOINTS], Fault> {
+pub(super) fn for_each_joint(key: &str, found: &[f64]) -> Result<[f64; JOINTS]> {
     let wrong = |found| {
         let expected = format!("{JOINTS} finite numbers, one for each joint of a quadruped");
-        Fault::Value { key: key.to_owned(), found, expected }
+        TranslationFault::Value { key: key.to_owned(), found, expected }
     };
     let numbers = <[f64; JOINTS]>::try_from(found).map_err(|_| wrong(format!("has {} numbers", found.len())))?;
     if numbers.iter().all(|number| number.is_finite()) { Ok(numbers) } else { Err(wrong(format!("is {numbers:?}"))) }
 }
 
 /// Returns the gains of a list in the order of `joints`, names that a leg and a part begin, such as `FL_hip_joint`.
-pub(super) fn gain(key: &str, found: &[f64], joints: &[String]) -> Result<Gain, Fault> {
+pub(super) fn gain(key: &str, found: &[f64], joints: &[String]) -> Result<Gain> {
     let gains = for_each_joint(key, found)?;
     if gains == [gains[0]; JOINTS] {
         return Ok(Gain::Same(gains[0]));
@@ -169,7 +102,7 @@ pub(super) fn gain(key: &str, found: &[f64], joints: &[String]) -> Result<Gain, 
     let mut ordered = [0.0; JOINTS];
     for (place, name) in joint_names().iter().enumerate() {
         let at = joints.iter().position(|joint| joint.strip_suffix("_joint").unwrap_or(joint) == name);
-        let at = at.ok_or_else(|| Fault::Value {
+        let at = at.ok_or_else(|| TranslationFault::Value {
             key: key.to_owned(),
             found: format!("differs by joint, and no joint is named {name} or {name}_joint: {}", joints.join(", ")),
             expected: "such names, or one number for all joints".to_owned(),
