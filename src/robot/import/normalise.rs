@@ -172,9 +172,8 @@ impl<'a> Survey<'a> {
         let joints = description.joints(&model)?;
         // Bodies in between may be fixed to one another.
         let above = |body: usize| {
-            let moves = |body: usize| (0..model.count(Object::Joint)).any(|joint| model.joint_body(joint) == body);
             let mut above = model.body_parent(body);
-            while above != 0 && !moves(above) {
+            while above != 0 && !urdf::moves(&model, above) {
                 above = model.body_parent(above);
             }
             above
@@ -294,7 +293,7 @@ impl<'a> Survey<'a> {
             }
         }
         if self.states_masses && !massless {
-            body.children.insert(0, self.inertial(own));
+            body.children.insert(0, urdf::written_inertial(&self.model, own));
         }
         for (leg, foot) in self.feet.iter().enumerate() {
             // A sphere stands for itself.
@@ -309,15 +308,6 @@ impl<'a> Survey<'a> {
             self.change(child, id, start)?;
         }
         Ok(())
-    }
-
-    /// Returns the mass and inertia that MuJoCo has found for a body.
-    fn inertial(&self, body: usize) -> Element {
-        Element::new("inertial")
-            .with("pos", spaced(&self.model.body_centre_of_mass(body)))
-            .with("quat", spaced(&self.model.body_inertia_quaternion(body)))
-            .with("mass", self.model.body_mass()[body])
-            .with("diaginertia", spaced(&self.model.body_inertia(body)))
     }
 
     fn change_joint(&self, joint: &mut Element) {

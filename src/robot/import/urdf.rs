@@ -95,12 +95,10 @@ fn without_meshes(tree: &Element) -> (Element, usize) {
 
 /// Lets the first link move: MuJoCo fixes it to the world, and would drop its mass.
 fn free_the_trunk(robot: &mut Element) -> Result<(), RobotError> {
-    let ends =
-        |joint: &Element, end: &str| joint.all(end).filter_map(|link| link.get("link")).next().map(str::to_owned);
     let is_moving =
-        |name: &str, robot: &Element| robot.all("joint").any(|joint| ends(joint, "child").as_deref() == Some(name));
+        |name: &str, robot: &Element| robot.all("joint").any(|joint| end(joint, "child").as_deref() == Some(name));
     // A first link of its own for the world is common, and joined to the trunk in any way.
-    let of_world = |joint: &Element| joint.name == "joint" && ends(joint, "parent").as_deref() == Some(WORLD);
+    let of_world = |joint: &Element| joint.name == "joint" && end(joint, "parent").as_deref() == Some(WORLD);
     robot.children.retain(|child| !(of_world(child) || child.name == "link" && child.get("name") == Some(WORLD)));
     let links: Vec<String> = robot.all("link").filter_map(|link| link.get("name")).map(str::to_owned).collect();
     let roots: Vec<&String> = links.iter().filter(|name| !is_moving(name, robot)).collect();
@@ -111,9 +109,9 @@ fn free_the_trunk(robot: &mut Element) -> Result<(), RobotError> {
         let has_mass =
             robot.all("link").any(|link| link.get("name") == Some(&root) && link.all("inertial").next().is_some());
         let below: Vec<&Element> =
-            robot.all("joint").filter(|joint| ends(joint, "parent").as_deref() == Some(&root)).collect();
+            robot.all("joint").filter(|joint| end(joint, "parent").as_deref() == Some(&root)).collect();
         let [only] = below[..] else { break };
-        let (true, false, Some(next)) = (only.get("type") == Some("fixed"), has_mass, ends(only, "child")) else {
+        let (true, false, Some(next)) = (only.get("type") == Some("fixed"), has_mass, end(only, "child")) else {
             break;
         };
         let joint = only.get("name").map(str::to_owned);
@@ -130,9 +128,13 @@ fn free_the_trunk(robot: &mut Element) -> Result<(), RobotError> {
     Ok(())
 }
 
+/// Returns the link at the end `which` of a joint, `parent` or `child`.
+fn end(joint: &Element, which: &str) -> Option<String> {
+    joint.all(which).filter_map(|link| link.get("link")).next().map(str::to_owned)
+}
+
 /// Gives links that move without a mass the inertia of a link that is fixed to them, as some URDFs have their trunk.
 fn share_masses(robot: &mut Element) {
-    let end = |joint: &Element, end: &str| joint.all(end).filter_map(|link| link.get("link")).next().map(str::to_owned);
     let is_fixed = |joint: &&Element| joint.get("type") == Some("fixed");
     let weighs = |robot: &Element, name: &str| {
         robot.all("link").find(|link| link.get("name") == Some(name))?.all("inertial").next().cloned()
@@ -212,7 +214,7 @@ fn bodies(model: &Model, parent: usize, robot: &Element) -> Vec<Element> {
 }
 
 /// Returns true if a joint moves a body.
-fn moves(model: &Model, body: usize) -> bool {
+pub(super) fn moves(model: &Model, body: usize) -> bool {
     (0..model.count(Object::Joint)).any(|joint| model.joint_body(joint) == body)
 }
 
@@ -246,10 +248,7 @@ fn inertial(model: &Model, parts: &[(usize, Isometry3<f64>)], robot: &Element) -
     if let [(body, pose)] = heavy[..]
         && *pose == Isometry3::identity()
     {
-        let inertial = Element::new("inertial").with("pos", spaced(&model.body_centre_of_mass(*body)));
-        let inertial = inertial.with("quat", spaced(&model.body_inertia_quaternion(*body)));
-        let inertial = inertial.with("mass", model.body_mass()[*body]);
-        return Some(inertial.with("diaginertia", spaced(&model.body_inertia(*body))));
+        return Some(written_inertial(model, *body));
     }
     let centre = |(body, pose): &(usize, Isometry3<f64>)| pose * Point3::from(model.body_centre_of_mass(*body));
     let mass: f64 = heavy.iter().map(|part| model.body_mass()[part.0]).sum();
@@ -272,6 +271,15 @@ fn inertial(model: &Model, parts: &[(usize, Isometry3<f64>)], robot: &Element) -
         let inertial = Element::new("inertial").with("pos", spaced(middle.as_slice())).with("mass", mass);
         inertial.with("fullinertia", spaced(&full))
     })
+}
+
+/// Writes the mass and inertia that MuJoCo has found for a body.
+pub(super) fn written_inertial(model: &Model, body: usize) -> Element {
+    Element::new("inertial")
+        .with("pos", spaced(&model.body_centre_of_mass(body)))
+        .with("quat", spaced(&model.body_inertia_quaternion(body)))
+        .with("mass", model.body_mass()[body])
+        .with("diaginertia", spaced(&model.body_inertia(body)))
 }
 
 /// Writes a geometry of a part, in the frame of the body that the part is fixed to.
