@@ -1,8 +1,8 @@
 /*! The sets of policies that are compared, read from folders.
 
 The path of a set is a folder (all policies in it), the folder of a run, a policy's file, or a folder and the common name of
-files `NAME-seedN`: `policies/baseline` stands for `policies/baseline-seed0.safetensors` and so on. `policies/baseline@0.03`
-also sets the commanded compliance \[m/s/N\] of these policies.
+files or runs `NAME-seedN`: `policies/baseline` stands for `policies/baseline-seed0.safetensors` and so on, and `runs/fast` for
+the runs `runs/fast-seed0` and so on. `policies/baseline@0.03` also sets the commanded compliance \[m/s/N\] of these policies.
 */
 
 use std::collections::BTreeSet;
@@ -181,6 +181,9 @@ impl PolicySets {
                         "{name}, seeds {a} and {b}, are one policy: the two samples are not independent"
                     ));
                 }
+                if let Some(unfinished) = member.provenance().and_then(Provenance::unfinished) {
+                    notes.push(format!("{}, seed {}, {unfinished}", set.name, member.seed));
+                }
                 let trained = member.provenance().map(|provenance| provenance.seed);
                 if let Some(trained) = trained.filter(|trained| *trained != member.seed) {
                     let (name, seed) = (&set.name, member.seed);
@@ -262,10 +265,10 @@ impl PolicySet {
         } else if path.is_dir() {
             policy_files(path)?
         } else {
-            match seed_files(path) {
+            match shipped::seeds_at(path) {
                 // The name of a policy inside the program.
-                files if files.is_empty() => vec![path.to_owned()],
-                files => files,
+                seeds if seeds.is_empty() => vec![path.to_owned()],
+                seeds => seeds.into_iter().map(|(_, file)| file).collect(),
             }
         };
         let files = files.into_iter().map(|file| (seed_in_name(&file), file)).collect();
@@ -333,15 +336,6 @@ fn differing_keys(sets: &[PolicySet]) -> Vec<String> {
 /// Returns the name of a file without its folder.
 fn name_of(file: &Path) -> String {
     file.file_name().unwrap_or_default().to_string_lossy().into_owned()
-}
-
-/// Returns the files `NAME-seedN` of a path `FOLDER/NAME` that is not a folder.
-fn seed_files(path: &Path) -> Vec<PathBuf> {
-    let (Some(folder), Some(name), false) = (path.parent(), path.file_name(), path.is_dir()) else { return Vec::new() };
-    let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
-    let name = name.to_string_lossy();
-    let files = policy_files(folder).unwrap_or_default();
-    files.into_iter().filter(|file| seed_of(&name, file).is_some()).collect()
 }
 
 /// Returns the seed N of a file `NAME-seedN` of a given name; none for another file.

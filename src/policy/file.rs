@@ -67,6 +67,14 @@ pub struct Provenance {
     pub mujoco_version: String,
 }
 
+impl Provenance {
+    /// Describes how far the training had come, unless it was complete.
+    pub fn unfinished(&self) -> Option<String> {
+        let (found, planned) = (self.samples, self.config.run.samples);
+        (found < planned).then(|| format!("is unfinished: {found} of {planned} samples so far"))
+    }
+}
+
 /// Instructions for a program in another language that runs the policy.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Usage {

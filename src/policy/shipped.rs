@@ -1,9 +1,11 @@
 //! The shipped policies inside the program, and the look-up of a policy by name or path.
 
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
 use crate::policy::compliance::{PolicyCalibration, split_compliance};
 use crate::policy::{Agent, AgentError, Policy};
+use crate::util::files::is_yaml;
 
 /// Name and file of every policy in `policies/` at build time, sorted by name, such as `go2/compliant-seed0`.
 pub const EMBEDDED: &[(&str, &[u8])] = include!(concat!(env!("OUT_DIR"), "/policies.rs"));
@@ -12,7 +14,7 @@ pub const EMBEDDED: &[(&str, &[u8])] = include!(concat!(env!("OUT_DIR"), "/polic
 const CALIBRATIONS: &[(&str, &str)] = include!(concat!(env!("OUT_DIR"), "/calibrations.rs"));
 
 /// Finds a policy: the path of a policy file, of a run's folder or of an external policy's YAML file, or the name of a
-/// shipped policy; `compliant` is short for the one with the smallest seed, `compliant-seed0`.
+/// shipped policy. `compliant` is short for the one with the smallest seed, `compliant-seed0`, and so is `runs/fast`.
 ///
 /// # Errors
 /// There is no such policy (the error lists the shipped ones), or its file is invalid.
@@ -60,7 +62,30 @@ fn embedded(name: &str) -> Option<usize> {
 /// Returns the file that [`find`] would read; `None` for a policy inside the program.
 pub fn file_of(name: &str) -> Option<PathBuf> {
     let path = PathBuf::from(name);
-    if path.is_dir() { Some(path.join("policy.safetensors")) } else { path.exists().then_some(path) }
+    if path.is_dir() {
+        return Some(path.join("policy.safetensors"));
+    }
+    if path.exists() { Some(path) } else { seeds_at(&path).into_iter().next().map(|(_, file)| file) }
+}
+
+/// Returns the seeds and files of the set of policies at a path that does not exist itself, such as `runs/fast`: files
+/// `fast-seedN.safetensors` and `.yaml`, and folders `fast-seedN` of runs.
+pub fn seeds_at(path: &Path) -> Vec<(u64, PathBuf)> {
+    let (Some(folder), Some(name)) = (path.parent(), path.file_name().and_then(OsStr::to_str)) else {
+        return Vec::new();
+    };
+    let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+    let member = |path: PathBuf| {
+        let is_run = path.join("run.json").is_file();
+        let is_file = path.extension().is_some_and(|extension| extension == "safetensors") || is_yaml(&path);
+        let own = if is_run { path.file_name()? } else { path.file_stem().filter(|_| is_file)? };
+        let seed = own.to_str()?.strip_prefix(name)?.strip_prefix("-seed")?.parse().ok()?;
+        Some((seed, if is_run { path.join("policy.safetensors") } else { path }))
+    };
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let mut found: Vec<(u64, PathBuf)> = entries.filter_map(|entry| member(entry.path())).collect();
+    found.sort();
+    found
 }
 
 /// Returns the index of the meant name: the name itself, or the one with the smallest seed.
@@ -101,6 +126,25 @@ mod tests {
             let card = std::fs::read_to_string(&card).unwrap_or_else(|error| panic!("{}: {error}", card.display()));
             assert!(card.contains(&sha256), "{name} is {sha256}, its card says otherwise");
         }
+    }
+
+    #[test]
+    fn set_has_the_files_and_the_runs_of_its_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let place = |name: &str| folder.path().join(name);
+        for run in ["fast-seed10", "fast-seed2", "faster-seed3", "fast-reward.energy=-0.01-seed0"] {
+            std::fs::create_dir(place(run)).unwrap();
+            std::fs::write(place(run).join("run.json"), "{}").unwrap();
+        }
+        for file in ["fast-seed4.safetensors", "fast-seed5.yaml", "fast-seed6.md", "fast.safetensors"] {
+            std::fs::write(place(file), "").unwrap();
+        }
+        std::fs::create_dir(place("fast-seed7")).unwrap();
+        let seeds: Vec<u64> = seeds_at(&place("fast")).into_iter().map(|(seed, _)| seed).collect();
+        assert_eq!(seeds, [2, 4, 5, 10]);
+        assert_eq!(file_of(place("fast").to_str().unwrap()), Some(place("fast-seed2/policy.safetensors")));
+        let variant = place("fast-reward.energy=-0.01");
+        assert_eq!(seeds_at(&variant), [(0, place("fast-reward.energy=-0.01-seed0/policy.safetensors"))]);
     }
 
     #[test]

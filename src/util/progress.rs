@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-pub use indicatif::ProgressBar;
+pub use indicatif::{MultiProgress, ProgressBar};
 use indicatif::{ProgressDrawTarget, ProgressState, ProgressStyle};
 use rustix::termios::tcgetwinsize;
 

@@ -16,5 +16,6 @@ mod ranks;
 mod readme;
 mod robots;
 mod scenarios;
+mod sets;
 mod support;
 mod travel;

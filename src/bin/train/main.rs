@@ -1,5 +1,6 @@
 //! The program `train`: trains a policy from scratch or from a checkpoint, by the method of section III.
 
+mod several;
 mod start;
 
 use std::path::{Path, PathBuf};
@@ -8,8 +9,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-use anyhow::Context;
+use anyhow::{Context, ensure};
 use clap::Parser;
+use several::Seeds;
 use start::{is_common, join, resume, start, together};
 use supple::ranks::{Ranks, any};
 use supple::train::environment::EpisodeFault;
@@ -23,7 +25,7 @@ use supple::util::terminal::{self, shell_word};
 ///
 /// Metrics go to DIR/metrics.jsonl and to TensorBoard event files in DIR, the policy to DIR/policy.safetensors.
 /// Ctrl-C finishes the iteration, writes a checkpoint and says how to go on; a second one stops at once.
-#[derive(Parser)]
+#[derive(Parser, Clone)]
 #[command(name = env!("CARGO_BIN_NAME"), version = supple::provenance::version())]
 struct Args {
     /// Configuration: fast, fast-baseline, compliant, baseline, real, go2, go2-baseline, go2-real, or a YAML file;
@@ -39,16 +41,27 @@ struct Args {
     /// Seed of everything random in the run [default: 0]
     #[arg(long, value_name = "N", conflicts_with = "resume")]
     seed: Option<u64>,
+    /// Train several seeds beside one another, as 0-4 or 0,3,7; the same command goes on with those that are not complete
+    #[arg(long, value_name = "LIST", conflicts_with_all = ["resume", "seed"], value_parser = Seeds::parse)]
+    seeds: Option<Seeds>,
+    /// Train a variant for each value of a key, as in reward.energy=-0.01,-0.02, or for each name in a YAML file
+    #[arg(long, value_name = "KEY=VALUES|FILE", conflicts_with = "resume")]
+    vary: Option<String>,
+    /// With --seeds or --vary: the number of runs that are trained at once [default: all cores]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    at_once: Option<u16>,
+    #[arg(skip)]
+    is_one_of_several: bool,
     /// Samples of the whole run; a resumed run keeps its own unless told otherwise [default: the configuration's]
     #[arg(long, value_name = "N")]
     samples: Option<u64>,
-    /// Folder of the new run, must not exist [default: runs/CONFIG-seedN]
+    /// Folder of the new run, must not exist [default: runs/CONFIG-seedN]; of several runs, what stands before -seedN
     #[arg(long, value_name = "DIR", conflicts_with = "resume")]
     out: Option<PathBuf>,
     /// Resume the run in this folder, exactly from its checkpoint
     #[arg(long, value_name = "DIR")]
     resume: Option<PathBuf>,
-    /// Worker threads; the result does not depend on them [default: all cores]
+    /// Worker threads of each run; the result does not depend on them [default: all cores]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
     /// Under mpirun: end all ranks when one has kept another waiting for so long (s)
@@ -81,16 +94,38 @@ fn run(args: Args, ranks: &Arc<dyn Ranks>) -> anyhow::Result<()> {
     stop_on_signals(Arc::clone(&stop), Arc::clone(&training), ranks.index() == 0)?;
 
     let cores = std::thread::available_parallelism().map_or(1, |cores| cores.get());
+    if args.seeds.is_some() || args.vary.is_some() {
+        ensure!(
+            ranks.is_alone(),
+            "--seeds and --vary train on one machine: under mpirun, give each run its own command"
+        );
+        return several::train_all(&args, cores, &stop, &training);
+    }
     let threads = args.threads.map_or(cores, usize::from);
     let (mut trainer, mut folder) = match &args.resume {
         Some(path) => resume(path, &args, threads, ranks)?,
         None => start(&args, threads, &training, ranks)?,
     };
+    training.store(true, Ordering::Relaxed);
+    let bar = if folder.is_some() { progress(trainer.run().config.run.samples) } else { ProgressBar::hidden() };
+    let outcome = train(&mut trainer, &mut folder, &stop, &bar)?;
+    if folder.is_some() {
+        terminal::note(outcome);
+    }
+    Ok(())
+}
+
+/// Trains a run until it is complete or `stop` is set. Returns how far it has come.
+fn train(
+    trainer: &mut Trainer,
+    folder: &mut Option<RunFolder>,
+    stop: &AtomicBool,
+    bar: &ProgressBar,
+) -> anyhow::Result<String> {
     let total = trainer.run().config.run.samples;
     let mut saved = trainer.run().iteration;
-    training.store(true, Ordering::Relaxed);
-    let outcome = train(&mut trainer, &mut folder, total, &stop, &mut saved);
-    let Some(folder) = &folder else { return outcome };
+    let outcome = iterate(trainer, folder, total, (stop, bar), &mut saved);
+    let Some(folder) = folder else { return outcome.map(|()| String::new()) };
     let path = folder.path().display();
     if let Err(error) = outcome {
         let way_on = if !folder.path().exists() {
@@ -104,16 +139,12 @@ fn run(args: Args, ranks: &Arc<dyn Ranks>) -> anyhow::Result<()> {
         };
         return Err(error.context(format!("stopped; {way_on}")));
     }
-    if trainer.run().samples < total {
-        let samples = trainer.run().samples;
-        terminal::note(format_args!("stopped after {samples} samples; go on with: {}", resuming(folder.path())));
+    let samples = trainer.run().samples;
+    Ok(if samples < total {
+        format!("stopped after {samples} samples; go on with: {}", resuming(folder.path()))
     } else {
-        terminal::note(format_args!(
-            "done: {} samples; the policy is {path}/policy.safetensors",
-            trainer.run().samples
-        ));
-    }
-    Ok(())
+        format!("done: {samples} samples; the policy is {path}/policy.safetensors")
+    })
 }
 
 /// Returns the shell command that resumes a run.
@@ -123,16 +154,15 @@ fn resuming(folder: &Path) -> String {
 }
 
 /// Iterates until `total` samples are collected or `stop` is set; `saved` is the iteration of the newest checkpoint.
-fn train(
+fn iterate(
     trainer: &mut Trainer,
     folder: &mut Option<RunFolder>,
     total: u64,
-    stop: &AtomicBool,
+    (stop, bar): (&AtomicBool, &ProgressBar),
     saved: &mut u64,
 ) -> anyhow::Result<()> {
     let every = trainer.run().config.run.checkpoint_every;
-    let bar = if folder.is_some() { progress(total) } else { ProgressBar::hidden() };
-    let bar = bar.with_position(trainer.run().samples);
+    bar.set_position(trainer.run().samples);
     bar.reset_eta();
     let (begun, first) = (Instant::now(), trainer.run().samples);
     while trainer.run().samples < total && !any(trainer.ranks(), stop.load(Ordering::Relaxed)) {
@@ -141,10 +171,10 @@ fn train(
             folder.as_mut().map_or(Ok(()), |folder| folder.log(&metrics).and_then(|()| folder.keep_policy(trainer)));
         together(trainer.ranks(), logged.map_err(anyhow::Error::from))?;
         if let Some(folder) = folder {
-            keep_physics_faults(trainer, folder, &bar);
+            keep_physics_faults(trainer, folder, bar);
         }
         bar.set_position(metrics.samples);
-        bar.set_message(summary(&metrics));
+        bar.set_message(format!("{}{}", bar.prefix(), summary(&metrics)));
         if metrics.iteration % every == 0 {
             save(trainer, folder.as_ref())?;
             *saved = metrics.iteration;
@@ -153,7 +183,7 @@ fn train(
                 let (samples, summary) = (metrics.samples, summary(&metrics));
                 let left = total.saturating_sub(samples);
                 let pace = pace(samples - first, begun.elapsed().as_secs_f64(), left, "samples");
-                terminal::note(format_args!("{samples} of {total} samples: {summary}, {pace}"));
+                terminal::note(format_args!("{}{samples} of {total} samples: {summary}, {pace}", bar.prefix()));
             }
         }
     }

@@ -97,8 +97,8 @@ fn check_alike(trainer: &Trainer) -> anyhow::Result<()> {
     Ok(supple::ranks::check_alike(trainer.ranks(), facts)?)
 }
 
-/// Creates the trainer of a new run, and returns the path for its folder.
-fn new_trainer(args: &Args, threads: usize, ranks: &Arc<dyn Ranks>) -> anyhow::Result<(Trainer, PathBuf)> {
+/// Returns the name and the configuration that the arguments ask for; with `speaks`, tells how it fits a robot.
+pub fn configured(args: &Args, speaks: bool) -> anyhow::Result<(String, Config)> {
     let name = args.config.as_deref().unwrap_or("fast");
     // Of a robot's own, --set speaks once everything is fitted to it.
     let set = if args.robot.is_some() { &[] } else { &args.set[..] };
@@ -110,12 +110,18 @@ fn new_trainer(args: &Args, threads: usize, ranks: &Arc<dyn Ranks>) -> anyhow::R
     if let Some(model) = &args.robot {
         let robot = Robot::load(model)?;
         let fitted = config.fitted_to(&robot)?;
-        if ranks.index() == 0 {
+        if speaks {
             terminal::note(format_args!("{}\n{}", robot.description(), config.changes(&fitted)));
         }
         (config, name) = (fitted.with(&args.set)?, format!("{name}-{}", stem(model)));
     }
     config.run.samples = args.samples.unwrap_or(config.run.samples);
+    Ok((name, config))
+}
+
+/// Creates the trainer of a new run, and returns the path for its folder.
+fn new_trainer(args: &Args, threads: usize, ranks: &Arc<dyn Ranks>) -> anyhow::Result<(Trainer, PathBuf)> {
+    let (name, mut config) = configured(args, ranks.index() == 0 && !args.is_one_of_several)?;
     let seed = args.seed.unwrap_or(0);
     let out = args.out.clone().unwrap_or_else(|| PathBuf::from(&format!("runs/{name}-seed{seed}")));
     if !ranks.is_alone() {
@@ -189,10 +195,11 @@ pub fn resume(
 fn read(path: &Path, args: &Args) -> anyhow::Result<(RunFolder, Checkpoint)> {
     let (folder, mut checkpoint, notes) = RunFolder::resume(path)?;
     notes.iter().for_each(|note| terminal::note(format_args!("warning: {note}")));
-    if let Some(name) = &args.config {
+    if args.config.is_some() || args.is_one_of_several {
+        let (name, config) = configured(args, false)?;
         let differs =
             |keys| anyhow::anyhow!("{} was not begun with {name}: {keys}; start anew with --out", path.display());
-        checkpoint.run.config.check_same(&Config::load(name)?).map_err(differs)?;
+        checkpoint.run.config.check_same(&config).map_err(differs)?;
     }
     let planned = &mut checkpoint.run.config.run.samples;
     *planned = args.samples.unwrap_or(*planned);

@@ -196,7 +196,13 @@ fn metrics(sensing: Sensing, scenario: &Scenario, script: &Script, trace: &Trace
 
 /// Loads the policies to play, by name, with the commanded compliance [m/s/N] unless their names contain one.
 fn robots(args: &Args) -> anyhow::Result<Vec<(String, Agent)>> {
-    let robot = |asked: &str| -> anyhow::Result<(String, Agent)> { Ok((policy_label(asked), shipped::find(asked)?)) };
+    let robot = |asked: &str| -> anyhow::Result<(String, Agent)> {
+        let agent = shipped::find(asked)?;
+        if let Some(unfinished) = agent.policy().and_then(|policy| policy.provenance.unfinished()) {
+            terminal::note(format_args!("note: {asked} {unfinished}"));
+        }
+        Ok((policy_label(asked), agent))
+    };
     let first = args.policy.as_deref().unwrap_or("compliant");
     let ships_both = || ["compliant", "baseline"].iter().all(|name| shipped::find(name).is_ok());
     let second = match args.compare.as_deref() {
