@@ -10,6 +10,7 @@ Tables and figures show every set of policies; claims and differences compare th
 
 pub mod exam;
 pub mod experiments;
+pub mod learning_curves;
 pub mod measurement_store;
 pub mod plot;
 pub mod policy_sets;

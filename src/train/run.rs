@@ -52,7 +52,7 @@ const CONFIG: &str = "config.yaml";
 const ABOUT: &str = "run.json";
 
 /// File of the metrics, with one line for each iteration.
-const METRICS: &str = "metrics.jsonl";
+pub const METRICS: &str = "metrics.jsonl";
 
 /// Maximum size of text files and lines \[bytes\].
 const MAX_BYTES: u64 = 1 << 20;
@@ -295,6 +295,21 @@ impl RunFolder {
         }
         Ok(())
     }
+}
+
+/// Reads the metrics of the run in a folder. A line that is not a metrics record is left out.
+///
+/// # Errors
+/// The file cannot be read.
+pub fn metrics(path: &Path) -> Result<Vec<IterationMetrics>, FileError> {
+    let path = path.join(METRICS);
+    let file = File::open(&path).map_err(at(&path))?;
+    let lines = files::lines(BufReader::new(file), MAX_BYTES);
+    lines
+        .filter(|line| !matches!(line, Err(error) if error.kind() == io::ErrorKind::InvalidData))
+        .filter_map(|line| line.map(|line| serde_json::from_str(&line).ok()).transpose())
+        .collect::<io::Result<_>>()
+        .map_err(at(&path))
 }
 
 fn at(path: &Path) -> impl Fn(io::Error) -> FileError + Copy {

@@ -39,6 +39,9 @@ pub struct Args {
         "experiments", "policies", "a", "b", "names", "also", "beside", "quick", "joints", "sensing", "results",
     ])]
     pub exam: Option<PathBuf>,
+    /// Draw the learning curves of runs instead, such as runs/fast for all its seeds, into the folder --out
+    #[arg(long, value_name = "PATH", num_args = 1.., conflicts_with_all = ["exam", "policies", "a", "names"])]
+    pub curves: Vec<PathBuf>,
     /// Name and path of a further set, shown beside the two that are compared; may be repeated
     #[arg(long, value_name = "NAME=PATH[@C]", value_parser = name_and_path)]
     pub also: Vec<(String, PathBuf)>,

@@ -11,10 +11,12 @@ use args::{Args, MOST_NAME, label};
 use clap::Parser;
 use progress::Progress;
 use supple::scenario::Sensing;
-use supple::util::files::Target;
+use supple::util::files::{self, Target};
 use supple::util::terminal::{self, shell_word};
 use supple_evaluate::exam::{Exam, Part, page};
+use supple_evaluate::learning_curves::{self, LearningSet, Over};
 use supple_evaluate::measurement_store::MeasurementStore;
+use supple_evaluate::plot::png::Renderer;
 use supple_evaluate::policy_sets::PolicySets;
 use supple_evaluate::protocol::Protocol;
 use supple_evaluate::report::other_reports::OtherReport;
@@ -37,6 +39,9 @@ fn run(args: &Args) -> anyhow::Result<()> {
     }
     if let Some(policy) = &args.exam {
         return examine(policy, args);
+    }
+    if !args.curves.is_empty() {
+        return draw_curves(args);
     }
     let (name, protocol) = protocol(args)?;
     let policies = policies(args, &args.also)?;
@@ -112,6 +117,21 @@ fn prepare(args: &Args) -> anyhow::Result<()> {
     // Zero threads mean all cores.
     let threads = args.threads.map_or(0, usize::from);
     rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().context("cannot start threads")
+}
+
+/// Draws the learning curves of runs.
+fn draw_curves(args: &Args) -> anyhow::Result<()> {
+    let sets = args.curves.iter().map(|path| LearningSet::read(&label(path), path)).collect::<Result<Vec<_>, _>>()?;
+    std::fs::create_dir_all(&args.out).with_context(|| format!("cannot create the folder {}", args.out.display()))?;
+    for (over, name) in Over::ALL {
+        let svg = learning_curves::draw(&sets, over);
+        let path = args.out.join(name);
+        let png = Renderer::default().png(&svg)?;
+        files::write_atomically(&path.with_extension("svg"), svg.as_bytes())?;
+        files::write_atomically(&path.with_extension("png"), &png)?;
+        terminal::print(format_args!("{}.png\n", path.display()))?;
+    }
+    Ok(())
 }
 
 /// Examines one policy beside the shipped references.
