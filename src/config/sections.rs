@@ -4,7 +4,7 @@ use std::fmt;
 use std::sync::Arc;
 
 use garde::Validate;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::LOG_STD_RANGE;
 use super::check::{
@@ -17,6 +17,7 @@ use crate::observation::{Layout, LayoutError, Nominal, Observed};
 use crate::robot::{JOINTS, Joints, Losses, Robot, same_in_every_leg};
 use crate::util::files::FileError;
 use crate::util::numbers::maximum;
+use crate::util::yaml;
 
 /// A training configuration: everything that defines a run except its seed.
 ///
@@ -31,7 +32,7 @@ use crate::util::numbers::maximum;
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Validate)]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, remote = "Self")]
 #[garde(context(Config))]
 pub struct Config {
     /// The robot and its joint losses.
@@ -48,7 +49,7 @@ pub struct Config {
     pub observation: Vec<Observed>,
     /// The entries that the critic observes in addition to the policy's observation, from the true state; they may be
     /// quantities that only the simulator knows. None if the list is missing.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[serde(default)]
     #[garde(skip)]
     pub critic_observation: Vec<Observed>,
     /// Range of velocity commands, and its curriculum.
@@ -58,15 +59,12 @@ pub struct Config {
     #[garde(dive)]
     pub episode: Episode,
     /// Sustained pulls on the trunk; none if the section is missing.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     #[garde(dive)]
     pub pulls: Option<Pulls>,
     /// Feet that are held in their swing; none if the section is missing.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     #[garde(dive)]
     pub held_feet: Option<HeldFeet>,
     /// Uneven ground with a curriculum; a plane if the section is missing.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     #[garde(dive)]
     pub terrain: Option<Terrain>,
     /// Weights and targets of the reward (Table II).
@@ -356,7 +354,7 @@ pub struct Pulls {
     /// Upper ends of ranges of the force, as fractions of `force_n`, rising up to 1: each episode draws one of the ranges
     /// with equal probability, and the forces of its pulls from it. `[0, 0.2, 0.5, 1]` leaves a quarter of the episodes
     /// without pulls. One range without it.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[serde(default)]
     #[garde(custom(rising_to_one))]
     pub buckets: Vec<f64>,
 }
@@ -474,49 +472,44 @@ pub struct Randomisation {
     #[garde(custom(positive))]
     pub default_friction: f64,
     /// Largest mass that is added to the trunk or taken from it \[kg\]; 0 if missing, as all of the following.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default)]
     #[garde(custom(not_negative))]
     pub trunk_mass_kg: f64,
     /// Largest displacement of the trunk's centre of mass along each axis \[m\].
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default)]
     #[garde(custom(within(0.0..=1.0, " m")))]
     pub trunk_offset_m: f64,
     /// Largest relative error of `K_p` and of `K_d`; 0.1 is ± 10 %.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default)]
     #[garde(custom(fraction))]
     pub gain_error: f64,
     /// The shortest and the longest delay of the joint target \[s\], in place of `simulation.latency_s`.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     #[garde(inner(custom(delays)))]
     pub latency_s: Option<[f64; 2]>,
     /// Largest dry friction of the joints, in addition to the robot's [N·m].
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default)]
     #[garde(custom(not_negative))]
     pub joint_friction_n_m: f64,
     /// Largest viscous damping of the joints, in addition to the robot's [N·m·s/rad].
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default)]
     #[garde(custom(not_negative))]
     pub joint_damping_n_m_s_per_rad: f64,
     /// Standard deviation of the observed angular velocity about each axis in a policy step [rad/s].
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default)]
     #[garde(custom(not_negative))]
     pub gyro_noise_sd_rad_s: f64,
     /// Standard deviation of the constant error of the angular velocity about each axis [rad/s].
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default)]
     #[garde(custom(not_negative))]
     pub gyro_bias_sd_rad_s: f64,
     /// Standard deviation of the constant error of roll and pitch in the observed gravity \[rad\].
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default)]
     #[garde(custom(not_negative))]
     pub tilt_error_sd_rad: f64,
     /// Standard deviation of the constant error of the observed felt force, forward and left \[N\].
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default)]
     #[garde(custom(not_negative))]
     pub felt_force_error_sd_n: f64,
-}
-
-fn is_zero(value: &f64) -> bool {
-    *value == 0.0
 }
 
 /// Settings of PPO: Table III, and those of Stable-Baselines3 where the paper is silent.
@@ -556,7 +549,6 @@ pub struct Ppo {
     #[garde(custom(not_negative))]
     pub entropy_coefficient: f64,
     /// Weight of the entropy bonus at the last sample of the run, which changes linearly until then; `None`: constant.
-    #[serde(default)]
     #[garde(inner(custom(not_negative)))]
     pub final_entropy_coefficient: Option<f64>,
     /// Discount factor γ.
@@ -651,12 +643,31 @@ pub struct Run {
     pub checkpoint_every: u64,
     /// Number of samples between policies kept as `policy-SAMPLES.safetensors` in addition to the newest; none are kept
     /// without it.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     #[garde(inner(custom(at_least_one)))]
     pub keep_policy_every: Option<u64>,
 }
 
+/// Leaves out the keys that stand at their default, so that programs that do not know them can read what does not use them.
+impl Serialize for Config {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        yaml::needed_keys(self, self.all_keys()).serialize(serializer)
+    }
+}
+
+impl<'de> Deserialize<'de> for Config {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        Config::deserialize(deserializer)
+    }
+}
+
 impl Config {
+    /// Returns every key with its value, also those that stand at their default.
+    pub fn all_keys(&self) -> yaml::Value {
+        #[derive(Serialize)]
+        struct AllKeys(#[serde(serialize_with = "Config::serialize")] Config);
+        yaml::to_value(&AllKeys(self.clone()))
+    }
+
     /// Returns the largest velocity that an outer loop may command, forward and left, unless the command itself is
     /// larger [m/s].
     pub fn outer_loop_limits_m_s(&self) -> [f64; 2] {

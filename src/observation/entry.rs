@@ -22,28 +22,20 @@ pub struct Observed {
     pub quantity: Quantity,
     /// Elements of a vector, in order: forward, left, up, or backward, right, down; yaw of a command [forward, left,
     /// up].
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub elements: Option<Vec<String>>,
     /// Age in policy steps, or several ages in order \[0\].
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub steps_ago: Option<Ages>,
     /// Offset, subtracted first \[0\].
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub offset: Option<Numbers>,
     /// Scale, applied after the offset; not zero \[1\].
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub scale: Option<Numbers>,
     /// Limit of the scaled value, ± `clip`; unlimited if missing.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub clip: Option<f64>,
     /// Frequency of the clocks \[Hz\].
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub frequency_hz: Option<f64>,
     /// Phases of the clocks, as fractions of a period \[0\].
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub phases: Option<Vec<f64>>,
     /// Values of the quantity [`Quantity::Constant`].
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub values: Option<Vec<f64>>,
 }
 

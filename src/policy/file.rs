@@ -21,6 +21,7 @@ use crate::util::files::{self, FileError};
 use crate::util::numbers;
 use crate::util::random::{Purpose, stream};
 use crate::util::tensors::{self, Tensor, TensorError};
+use crate::util::yaml;
 
 /// Version of the file format that is written.
 pub const FORMAT: u32 = 1;
@@ -127,6 +128,7 @@ struct Metadata {
     joints: Vec<String>,
     nominal_pose_rad: Joints,
     scale_rad: f64,
+    #[serde(serialize_with = "yaml::serialize_without_defaults")]
     simulation: Simulation,
     provenance: Provenance,
     usage: Usage,
@@ -452,6 +454,17 @@ mod tests {
         newer[at + 11] = b'9';
         let error = Policy::from_bytes(&newer, Path::new("newer")).unwrap_err().to_string();
         assert!(error.contains("its format is 9, this program reads 1"), "{error}");
+    }
+
+    #[test]
+    fn key_of_another_version_is_explained() {
+        let mut newer = policy().to_bytes().unwrap();
+        let at = newer.windows(6).position(|window| window == b"flight").unwrap();
+        newer[at..at + 6].copy_from_slice(b"warmth");
+        let error = Policy::from_bytes(&newer, Path::new("newer")).unwrap_err().to_string();
+        let expected =
+            "provenance.config.reward.warmth: unknown field `warmth`: another version of Supple wrote this file";
+        assert!(error.contains(expected), "{error}");
     }
 
     #[test]
