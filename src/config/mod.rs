@@ -12,6 +12,7 @@ mod fit;
 mod sections;
 mod terrain;
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 pub use check::ValueError;
@@ -22,6 +23,7 @@ pub use sections::{
 pub(crate) use terrain::{SPACING_M, TILE_M};
 
 use crate::robot::Robot;
+use crate::util::files;
 use crate::util::yaml::{self, Text, Value, YamlError};
 
 /// Name and text of the configurations inside the program.
@@ -109,9 +111,17 @@ impl Config {
     /// The file is missing or invalid, a key is unknown or missing, or a value is out of range; the error names file
     /// and key.
     pub fn load_with(name_or_path: &str, changes: &[String]) -> Result<Self, ConfigError> {
-        let mut texts = Vec::new();
-        let value = merged(name_or_path, Path::new(""), MAX_BASES, &mut texts)?;
-        Self::changed(name_or_path, value, texts, changes)
+        Ok(Self::load_with_notes(name_or_path, changes)?.0)
+    }
+
+    /// Loads a configuration like [`Config::load_with`], and returns notes about what its author may not have meant.
+    ///
+    /// # Errors
+    /// Those of [`Config::load_with`].
+    pub fn load_with_notes(name_or_path: &str, changes: &[String]) -> Result<(Self, Vec<String>), ConfigError> {
+        let (mut texts, mut notes) = (Vec::new(), Vec::new());
+        let value = merged(name_or_path, Path::new(""), MAX_BASES, &mut texts, &mut notes)?;
+        Ok((Self::changed(name_or_path, value, texts, changes, &mut notes)?, notes))
     }
 
     /// Returns this configuration with other values for some keys, each given as `ppo.epochs=4`.
@@ -120,14 +130,21 @@ impl Config {
     /// A change is not of this form, its key is unknown, or its value is out of range.
     pub fn with(&self, changes: &[String]) -> Result<Self, ConfigError> {
         let text = Text::new("fitted to the robot", &self.to_yaml());
-        Self::changed("fitted to the robot", text.parse()?, vec![text], changes)
+        Self::changed("fitted to the robot", text.parse()?, vec![text], changes, &mut Vec::new())
     }
 
-    fn changed(name: &str, mut value: Value, mut texts: Vec<Text>, changes: &[String]) -> Result<Self, ConfigError> {
+    fn changed(
+        name: &str,
+        mut value: Value,
+        mut texts: Vec<Text>,
+        changes: &[String],
+        notes: &mut Vec<String>,
+    ) -> Result<Self, ConfigError> {
         for change in changes {
             let text = changing(change)?;
             let mut change = text.parse()?;
             resolve_robot(&mut change, Path::new(""));
+            notes.extend(resolve_lists(Some(&value), &mut change, &text)?);
             yaml::overlay(&mut value, change);
             texts.insert(0, text);
         }
@@ -140,7 +157,13 @@ impl Config {
     /// The text is not YAML, a key is unknown or missing, or a value is out of range.
     pub fn from_yaml(name: &str, text: &str) -> Result<Self, ConfigError> {
         let text = Text::new(name, text);
-        Self::from_value(name, text.parse()?, &[text])
+        Self::from_value(name, text.parse()?, &[text]).map_err(|error| match error {
+            ConfigError::Parse(YamlError { name, line, message }) => {
+                let message = files::of_another_version(&message).unwrap_or(message);
+                ConfigError::Parse(YamlError { name, line, message })
+            }
+            other => other,
+        })
     }
 
     fn from_value(name: &str, value: Value, texts: &[Text]) -> Result<Self, ConfigError> {
@@ -162,7 +185,7 @@ impl Config {
         if [self.ppo.precision, other.ppo.precision].contains(&Precision::Auto) {
             other.ppo.precision = self.ppo.precision;
         }
-        yaml::differences(self, &other)
+        yaml::differences(&self.all_keys(), &other.all_keys())
     }
 
     /// Removes the folder from the path of a robot that does not ship, because policy files are used on other machines.
@@ -180,8 +203,14 @@ impl Config {
 }
 
 /// Reads a configuration and merges it into its base. Relative paths start at `folder`; the texts read are added to
-/// `texts`.
-fn merged(name_or_path: &str, folder: &Path, bases_left: usize, texts: &mut Vec<Text>) -> Result<Value, ConfigError> {
+/// `texts`, and notes about them to `notes`.
+fn merged(
+    name_or_path: &str,
+    folder: &Path,
+    bases_left: usize,
+    texts: &mut Vec<Text>,
+    notes: &mut Vec<String>,
+) -> Result<Value, ConfigError> {
     let embedded = EMBEDDED.iter().find(|(name, _)| *name == name_or_path);
     let path = folder.join(PathBuf::from(name_or_path));
     let text = match embedded {
@@ -196,20 +225,71 @@ fn merged(name_or_path: &str, folder: &Path, bases_left: usize, texts: &mut Vec<
         })?,
     };
     let mut value = text.parse()?;
-    texts.push(text);
+    texts.push(text.clone());
     if embedded.is_none() {
         resolve_robot(&mut value, &path);
     }
     let base = value.as_mapping_mut().and_then(|mapping| mapping.remove("base"));
-    let Some(base) = base else { return Ok(value) };
+    let Some(base) = base else {
+        resolve_lists(None, &mut value, &text)?;
+        return Ok(value);
+    };
     let problem = |message: &str| YamlError::new(name_or_path, message);
     let base = base.as_str().ok_or_else(|| problem("`base` must be a config's name or path"))?;
     if bases_left == 0 {
         return Err(problem("`base` is nested too deep: does a config name itself?").into());
     }
-    let mut whole = merged(base, path.parent().unwrap_or(folder), bases_left - 1, texts)?;
+    let mut whole = merged(base, path.parent().unwrap_or(folder), bases_left - 1, texts, notes)?;
+    let found = resolve_lists(Some(&whole), &mut value, &text)?;
+    // The shipped ones mean it.
+    notes.extend(found.into_iter().filter(|_| embedded.is_none()));
     yaml::overlay(&mut whole, value);
     Ok(whole)
+}
+
+/// Keys of the lists of quantities, which a configuration may state as `{append: [...]}`.
+const LISTS: [&str; 2] = ["observation", "critic_observation"];
+
+/// Replaces `{append: [...]}` by the list of the base with these entries at its end. Returns a note for each list that lacks
+/// quantities of the base's.
+fn resolve_lists(base: Option<&Value>, value: &mut Value, text: &Text) -> Result<Vec<String>, YamlError> {
+    let mut notes = Vec::new();
+    for key in LISTS {
+        let of_base = base.and_then(|base| base.get(key)).and_then(Value::as_sequence).cloned().unwrap_or_default();
+        match value.get_mut(key) {
+            Some(Value::Sequence(list)) => {
+                let is_dropped = |entry: &&Value| !list.iter().any(|own| own.get("quantity") == entry.get("quantity"));
+                let dropped = of_base.iter().filter(is_dropped).filter_map(|entry| entry.get("quantity")?.as_str());
+                let dropped: Vec<&str> = dropped.collect::<BTreeSet<_>>().into_iter().collect();
+                if !dropped.is_empty() {
+                    let (place, dropped) = (yaml::place(std::slice::from_ref(text), key), dropped.join(", "));
+                    notes.push(format!(
+                        "{place}: {key} replaces the list of its base and drops {dropped}; to add to that list, write \
+                         {key}: {{append: [...]}}"
+                    ));
+                }
+            }
+            Some(Value::Mapping(mapping)) => {
+                let problem = |problem: &str| text.error(key, problem);
+                if let Some(other) = mapping.keys().find(|key| key.as_str() != Some("append")) {
+                    let other = yaml::to_text(other);
+                    return Err(problem(&format!("unknown key `{}`, expected a list, or `append`", other.trim_end())));
+                }
+                if base.is_none() {
+                    return Err(problem(
+                        "`append` adds to the list of a `base`, which is missing: name one, or state the list",
+                    ));
+                }
+                let Some(Value::Sequence(added)) = mapping.get("append") else {
+                    return Err(problem("expected a list after `append`"));
+                };
+                let list = of_base.into_iter().chain(added.iter().cloned()).collect();
+                value[key] = Value::Sequence(list);
+            }
+            _ => (),
+        }
+    }
+    Ok(notes)
 }
 
 /// Turns a change such as `ppo.epochs=4` into the YAML text that states it.
@@ -243,6 +323,7 @@ fn robot_in(folder: &Path, model: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::observation::{Observed, Quantity};
 
     fn changed(from: &str, to: &str) -> Result<Config, ConfigError> {
         let text = EMBEDDED[0].1;
@@ -364,6 +445,130 @@ mod tests {
             let error = with(&[change]).unwrap_err().to_string();
             assert!(error.contains(expected), "{change}: {error}");
         }
+    }
+
+    /// Writes a YAML file and loads it as a configuration.
+    fn written(text: &str) -> Result<(Config, Vec<String>), ConfigError> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("own.yaml");
+        std::fs::write(&path, text).unwrap();
+        Config::load_with_notes(path.to_str().unwrap(), &[])
+    }
+
+    #[test]
+    fn appended_entries_follow_those_of_the_base() {
+        let added = "[{quantity: friction, scale: 2.0}, {quantity: latency}]";
+        let (own, notes) = written(&format!(
+            "base: real\nobservation: {{append: [{{quantity: base_height}}]}}\ncritic_observation: {{append: {added}}}"
+        ))
+        .unwrap();
+        let base = Config::load("real").unwrap();
+        assert!(notes.is_empty());
+        assert_eq!(own.observation[..7], base.observation);
+        assert_eq!(own.observation[7..], [Observed::now(Quantity::BaseHeight)]);
+        assert_eq!((own.critic_observation.len(), &own.critic_observation[..11]), (13, &base.critic_observation[..]));
+        assert!(own.to_yaml().matches("quantity: base_height").count() == 2 && !own.to_yaml().contains("append"));
+        // A base without a list has an empty one; --set adds to what the file states.
+        let set = ["critic_observation.append=[{quantity: friction}]".to_owned()];
+        assert_eq!(Config::load_with("fast", &set).unwrap().critic_observation, [Observed::now(Quantity::Friction)]);
+    }
+
+    #[test]
+    fn list_that_drops_quantities_of_its_base_is_noted() {
+        let observation = "observation: [{quantity: gravity}, {quantity: joint_angles}, {quantity: command}]";
+        let (own, notes) = written(&format!("base: fast\n{observation}")).unwrap();
+        assert_eq!(own.observation.len(), 3);
+        let [note] = &notes[..] else { panic!("{notes:?}") };
+        assert!(note.contains("own.yaml, line 2: observation replaces the list of its base and drops angular_velocity, base_height, base_velocity, joint_rates, last_target; "), "{note}");
+        assert!(written("base: real\nreward: {flight: -1.0}").unwrap().1.is_empty());
+    }
+
+    #[test]
+    fn append_of_another_form_is_refused() {
+        for (text, expected) in [
+            ("base: fast\nobservation: {append: 3}", "own.yaml, line 2: observation: expected a list after `append`"),
+            ("base: fast\nobservation: {}", "observation: expected a list after `append`"),
+            (
+                "base: fast\nobservation:\n  append: []\n  prepend: []",
+                "observation: unknown key `prepend`, expected a list",
+            ),
+            (
+                "base: fast\nobservation: {append: [{quantity: warmth}]}",
+                "line 2: observation[14].quantity: unknown variant `warmth`",
+            ),
+            (
+                "robot: {model: go1}\nobservation: {append: []}",
+                "line 2: observation: `append` adds to the list of a `base`",
+            ),
+        ] {
+            let error = written(text).unwrap_err().to_string();
+            assert!(error.contains(expected), "{error}");
+        }
+    }
+
+    /// Returns the paths of all keys of a value, at any depth.
+    fn paths(value: &Value, path: &[Value]) -> Vec<Vec<Value>> {
+        let step = |key: &Value, value: &Value| {
+            let path = [path, std::slice::from_ref(key)].concat();
+            [vec![path.clone()], paths(value, &path)].concat()
+        };
+        match value {
+            Value::Mapping(entries) => entries.iter().flat_map(|(key, value)| step(key, value)).collect(),
+            Value::Sequence(list) => (0..list.len()).flat_map(|k| step(&k.into(), &list[k])).collect(),
+            _ => Vec::new(),
+        }
+    }
+
+    /// Returns the mapping that holds the key at the end of a path.
+    fn holder<'a>(value: &'a mut Value, path: &[Value]) -> Option<&'a mut Value> {
+        let [at @ .., _] = path else { return None };
+        at.iter().try_fold(value, |value, key| match key.as_u64() {
+            Some(k) => value.get_mut(k as usize),
+            None => value.get_mut(key),
+        })
+    }
+
+    #[test]
+    fn no_optional_key_is_written_at_its_default() {
+        let terrain = "terrain={environments: 0.5, levels: 6, rough_m: [0.01, 0.06], boxes_m: [0.02, 0.08], sharpness_factor: 0.5}";
+        let changes = [
+            "observation.append=[{quantity: clock_sin, frequency_hz: 2.0, phases: [0.5], steps_ago: 1, clip: 1.0}]",
+            terrain,
+        ];
+        let all = Config::load_with("real", &changes.map(str::to_owned)).unwrap().all_keys();
+        let mut optional = Vec::new();
+        for path in paths(&all, &[]) {
+            let mut without = all.clone();
+            let Some(Value::Mapping(entries)) = holder(&mut without, &path) else { continue };
+            let key = path.last().unwrap();
+            entries.remove(key);
+            // A required key is missed.
+            let Ok(config) = yaml::typed::<Config>(without, &[]) else { continue };
+            let yaml = config.to_yaml();
+            let mut written = Text::new("written", &yaml).parse().unwrap();
+            assert!(holder(&mut written, &path).is_some_and(|entries| entries.get(key).is_none()), "{path:?}: {yaml}");
+            assert_eq!(yaml::typed::<Config>(written, &[]).unwrap(), config, "{path:?}");
+            optional.extend(key.as_str().map(str::to_owned));
+        }
+        for key in
+            ["damping_n_m_s_per_rad", "shards", "learner", "precision", "buckets", "trunk_mass_kg", "clip", "terrain"]
+        {
+            assert!(optional.iter().any(|found| found == key), "{key} is no longer optional: {optional:?}");
+        }
+    }
+
+    #[test]
+    fn key_of_another_version_is_explained_in_saved_files() {
+        let text = Config::load("fast").unwrap().to_yaml().replace("  flight:", "  warmth: 1.0\n  flight:");
+        let error = Config::from_yaml("runs/a/config.yaml", &text).unwrap_err().to_string();
+        assert!(error.starts_with("config runs/a/config.yaml, line ") && error.ends_with(
+            "reward.warmth: unknown field `warmth`: another version of Supple wrote this file; use that version, or remove the key"), "{error}");
+        let error = written("base: fast\nreward: {warmth: 1.0}").unwrap_err().to_string();
+        assert!(
+            error
+                .contains("own.yaml, line 2: reward.warmth: unknown field `warmth`, expected one of `linear_velocity`"),
+            "{error}"
+        );
     }
 
     #[test]

@@ -90,7 +90,7 @@ fn check_alike(trainer: &Trainer) -> anyhow::Result<()> {
     let program = std::env::current_exe().and_then(std::fs::read);
     let program = program.map_or_else(|error| error.to_string(), |bytes| files::sha256(&[&bytes]));
     let run = trainer.run();
-    let mut facts = serde_json::to_value(&run.config)?;
+    let mut facts = serde_json::to_value(run.config.all_keys())?;
     facts["seed"] = run.seed.into();
     facts["robot's checksum"] = run.robot_sha256.clone().into();
     facts["program"] = format!("revision {} with the checksum {program}", git_revision()).into();
@@ -102,7 +102,10 @@ fn new_trainer(args: &Args, threads: usize, ranks: &Arc<dyn Ranks>) -> anyhow::R
     let name = args.config.as_deref().unwrap_or("fast");
     // Of a robot's own, --set speaks once everything is fitted to it.
     let set = if args.robot.is_some() { &[] } else { &args.set[..] };
-    let mut config = Config::load_with(name, set)?;
+    let (mut config, notes) = Config::load_with_notes(name, set)?;
+    if ranks.index() == 0 {
+        notes.iter().for_each(|note| terminal::note(format_args!("note: {note}")));
+    }
     let stem = |name: &str| {
         PathBuf::from(name).file_stem().map_or(name.to_owned(), |stem| stem.to_string_lossy().into_owned())
     };
