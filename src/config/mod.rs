@@ -431,10 +431,10 @@ mod tests {
                 "ppo.hidden_layers=[4096, 4096]",
                 "ppo.hidden_layers is [4096, 4096], a policy of 65.5 MiB, expected at most 56 MiB",
             ),
-            ("observation=[{quantity: friction}]", "entry 1 (Friction): only the simulator knows it"),
+            ("observation=[{quantity: friction}]", "entry 1 (friction): only the simulator knows it"),
             (
                 "critic_observation=[{quantity: friction, scale: 0}]",
-                "critic_observation: observation, entry 1 (Friction)",
+                "critic_observation: observation, entry 1 (friction)",
             ),
             ("ppo.epoch=4", "unknown field `epoch`"),
             ("epochs=4", "unknown field `epochs`"),

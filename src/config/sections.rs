@@ -13,7 +13,7 @@ use super::check::{
     layer_widths, low_and_high, not_negative, physics_rate, positive, power_of_two_that_divides, rising_to_one,
     shortest_and_longest, within,
 };
-use crate::observation::{Layout, LayoutError, Nominal, Observed};
+use crate::observation::{Layout, LayoutError, NominalValues, Observed};
 use crate::robot::{JOINTS, Joints, Losses, Robot, same_in_every_leg};
 use crate::util::files::FileError;
 use crate::util::numbers::maximum;
@@ -668,12 +668,6 @@ impl Config {
         yaml::to_value(&AllKeys(self.clone()))
     }
 
-    /// Returns the largest velocity that an outer loop may command, forward and left, unless the command itself is
-    /// larger [m/s].
-    pub fn outer_loop_limits_m_s(&self) -> [f64; 2] {
-        [self.command.forward_m_s, self.command.left_m_s]
-    }
-
     /// Builds the layout of the observation.
     ///
     /// # Errors
@@ -692,8 +686,8 @@ impl Config {
     }
 
     /// Returns the nominal values that offsets and scales refer to by name.
-    pub fn nominal(&self) -> Nominal {
-        Nominal {
+    pub fn nominal(&self) -> NominalValues {
+        NominalValues {
             pose: self.action.nominal_pose_rad.joints(),
             height_m: self.reward.base_height_m,
             action_scale_rad: [self.action.scale_rad; JOINTS],

@@ -394,11 +394,8 @@ impl Metadata {
 fn block_infos(layout: &Layout) -> Vec<BlockInfo> {
     let mut infos = Vec::new();
     for block in layout.blocks() {
-        // As YAML and JSON spell it.
-        let quantity = serde_json::to_value(block.quantity).unwrap_or_default();
-        let quantity = quantity.as_str().unwrap_or_default();
         infos.extend(block.steps_ago.iter().map(|age| BlockInfo {
-            quantity: quantity.to_owned(),
+            quantity: block.quantity.to_string(),
             age: *age,
             length: block.length() / block.steps_ago.len(),
             unit: block.unit().to_owned(),

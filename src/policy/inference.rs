@@ -7,7 +7,7 @@ use super::controller::Controller;
 use super::onnx;
 use crate::config::Config;
 use crate::network::{PackedMlp, Scratch};
-use crate::observation::{Command, Layout, LayoutError, Moment, Observer, Privileged, Quantity};
+use crate::observation::{Command, Layout, LayoutError, ObservationInput, Observer, Privileged, Quantity};
 use crate::robot::{JOINTS, Joints, RobotState, joint_target};
 
 /// The meaning of a network's output.
@@ -204,7 +204,7 @@ impl<I: Borrow<Inference> + Send> Controller for PolicyController<I> {
         let inference: &Inference = self.inference.borrow();
         let layout = &inference.layout;
         let History { observer, step, last_action, last_target } = &mut self.past;
-        let now = Moment {
+        let now = ObservationInput {
             state,
             command,
             last_action,

@@ -126,7 +126,7 @@ impl Entries {
 mod tests {
     use super::*;
     use crate::config::Gain;
-    use crate::observation::Ages;
+    use crate::observation::StepsAgo;
 
     fn metadata(changes: &[(&str, &str)]) -> Entries {
         let entries = [
@@ -167,7 +167,7 @@ mod tests {
         );
         assert_eq!(quantities[4..], [Quantity::JointRates, Quantity::LastAction, Quantity::Command]);
         let ages: Vec<_> = found.observation.iter().map(|observed| observed.steps_ago.clone()).collect();
-        assert_eq!(ages[..3], [None, None, Some(Ages::Several(vec![2, 1, 0]))]);
+        assert_eq!(ages[..3], [None, None, Some(StepsAgo::Several(vec![2, 1, 0]))]);
     }
 
     #[test]

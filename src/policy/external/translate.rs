@@ -10,7 +10,7 @@ use std::path::Path;
 use super::text::Description;
 use super::{deploy, metadata};
 use crate::config::{Gain, RobotModel, Simulation};
-use crate::observation::{Ages, Numbers, Observed, Quantity};
+use crate::observation::{Numbers, Observed, Quantity, StepsAgo};
 use crate::policy::inference::Meaning;
 use crate::robot::{JOINTS, joint_names};
 use crate::util::files::FileError;
@@ -146,8 +146,8 @@ pub(super) fn ages(length: u32) -> Vec<u32> {
 }
 
 /// Returns `steps_ago` for these ages; the default is not written.
-pub(super) fn steps_ago(ages: &[u32]) -> Option<Ages> {
-    (ages != [0]).then(|| Ages::Several(ages.to_vec()))
+pub(super) fn steps_ago(ages: &[u32]) -> Option<StepsAgo> {
+    (ages != [0]).then(|| StepsAgo::Several(ages.to_vec()))
 }
 
 /// Checks that a list has one finite number for each joint of a quadruped.

@@ -23,7 +23,7 @@ use super::step_meter::{FootForces, StepMeter};
 use super::terrain::{self, Course, Kind};
 use crate::config::{Config, Reward, ValueError};
 use crate::mujoco;
-use crate::observation::{Command, Layout, Moment, Observer, Privileged};
+use crate::observation::{Command, Layout, ObservationInput, Observer, Privileged};
 use crate::robot::{JOINTS, Joints, LEGS, Robot, RobotState, joint_target};
 use crate::sim::last_second::LastSecond;
 use crate::sim::{Ground, HeightField, Scene, Sim, SimState};
@@ -260,7 +260,7 @@ impl LocomotionEnv {
             let mut rng = stream(self.seed, Purpose::Imu, self.index, p.episode << 24 | p.step as u64);
             imu.seen(state, &mut rng)
         });
-        let now = Moment {
+        let now = ObservationInput {
             state: seen.as_ref().unwrap_or(state),
             command: &p.plan.command,
             last_action: &p.last_action,
@@ -271,7 +271,7 @@ impl LocomotionEnv {
         };
         p.observer.measure(&self.shared.layout, &now);
         if let (Some(layout), Some(privileged)) = (&self.shared.critic, privileged) {
-            p.critic_observer.measure(layout, &Moment { state, privileged, ..now });
+            p.critic_observer.measure(layout, &ObservationInput { state, privileged, ..now });
         }
     }
 
