@@ -16,4 +16,5 @@ mod networks;
 pub use adam::Adam;
 pub use learner::CandleLearner;
 pub use loss::Loss;
+pub(super) use loss::OPTIONAL_KEYS;
 pub use networks::Networks;
