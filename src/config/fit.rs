@@ -27,7 +27,8 @@ latency and the policy's rate stay.
 
 use std::path::Path;
 
-use super::{Config, LegPose, Simulation, robot_in};
+use super::merge::robot_in;
+use super::{Config, LegPose, Simulation};
 use crate::robot::{JOINTS, Joints, Robot, joint_name};
 use crate::util::files::FileError;
 use crate::util::numbers::maximum;

@@ -9,11 +9,11 @@ the compliant policy.
 
 mod check;
 mod fit;
+mod merge;
 mod sections;
 mod terrain;
 
-use std::collections::BTreeSet;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 pub use check::ValueError;
 pub use sections::{
@@ -25,6 +25,7 @@ pub(crate) use terrain::{SPACING_M, TILE_M};
 use crate::robot::Robot;
 use crate::util::files;
 use crate::util::yaml::{self, Text, Value, YamlError};
+use merge::Merged;
 
 /// Name and text of the configurations inside the program.
 pub const EMBEDDED: &[(&str, &str)] = &[
@@ -41,9 +42,6 @@ pub const EMBEDDED: &[(&str, &str)] = &[
 /// Range of `ln σ`, far beyond the values of training: below it, log-densities lose their precision, above it, actions
 /// are pure noise.
 pub const LOG_STD_RANGE: [f32; 2] = [-7.0, 2.0];
-
-/// Maximum depth of nested `base` keys.
-const MAX_BASES: usize = 8;
 
 /// The reason why a configuration was refused.
 #[derive(Debug, thiserror::Error)]
@@ -119,9 +117,9 @@ impl Config {
     /// # Errors
     /// Those of [`Config::load_with`].
     pub fn load_with_notes(name_or_path: &str, changes: &[String]) -> Result<(Self, Vec<String>), ConfigError> {
-        let (mut texts, mut notes) = (Vec::new(), Vec::new());
-        let value = merged(name_or_path, Path::new(""), MAX_BASES, &mut texts, &mut notes)?;
-        Ok((Self::changed(name_or_path, value, texts, changes, &mut notes)?, notes))
+        let mut merged = Merged::load(name_or_path)?;
+        changes.iter().try_for_each(|change| merged.change(change))?;
+        Ok((Self::from_value(name_or_path, merged.value, &merged.texts)?, merged.notes))
     }
 
     /// Returns this configuration with other values for some keys, each given as `ppo.epochs=4`.
@@ -129,26 +127,10 @@ impl Config {
     /// # Errors
     /// A change is not of this form, its key is unknown, or its value is out of range.
     pub fn with(&self, changes: &[String]) -> Result<Self, ConfigError> {
-        let text = Text::new("fitted to the robot", &self.to_yaml());
-        Self::changed("fitted to the robot", text.parse()?, vec![text], changes, &mut Vec::new())
-    }
-
-    fn changed(
-        name: &str,
-        mut value: Value,
-        mut texts: Vec<Text>,
-        changes: &[String],
-        notes: &mut Vec<String>,
-    ) -> Result<Self, ConfigError> {
-        for change in changes {
-            let text = changing(change)?;
-            let mut change = text.parse()?;
-            resolve_robot(&mut change, Path::new(""));
-            notes.extend(resolve_lists(Some(&value), &mut change, &text)?);
-            yaml::overlay(&mut value, change);
-            texts.insert(0, text);
-        }
-        Self::from_value(name, value, &texts)
+        let name = "fitted to the robot";
+        let mut merged = Merged::new(Text::new(name, &self.to_yaml()))?;
+        changes.iter().try_for_each(|change| merged.change(change))?;
+        Self::from_value(name, merged.value, &merged.texts)
     }
 
     /// Parses a complete YAML text without a `base`, as stored with a run.
@@ -157,12 +139,13 @@ impl Config {
     /// The text is not YAML, a key is unknown or missing, or a value is out of range.
     pub fn from_yaml(name: &str, text: &str) -> Result<Self, ConfigError> {
         let text = Text::new(name, text);
-        Self::from_value(name, text.parse()?, &[text]).map_err(|error| match error {
-            ConfigError::Parse(YamlError { name, line, message }) => {
-                let message = files::of_another_version(&message).unwrap_or(message);
-                ConfigError::Parse(YamlError { name, line, message })
+        Self::from_value(name, text.parse()?, &[text]).map_err(|mut error| {
+            if let ConfigError::Parse(YamlError { message, .. }) = &mut error
+                && let Some(explained) = files::of_another_version(message)
+            {
+                *message = explained;
             }
-            other => other,
+            error
         })
     }
 
@@ -202,128 +185,11 @@ impl Config {
     }
 }
 
-/// Reads a configuration and merges it into its base. Relative paths start at `folder`; the texts read are added to
-/// `texts`, and notes about them to `notes`.
-fn merged(
-    name_or_path: &str,
-    folder: &Path,
-    bases_left: usize,
-    texts: &mut Vec<Text>,
-    notes: &mut Vec<String>,
-) -> Result<Value, ConfigError> {
-    let embedded = EMBEDDED.iter().find(|(name, _)| *name == name_or_path);
-    let path = folder.join(PathBuf::from(name_or_path));
-    let text = match embedded {
-        Some((name, text)) => Text::new(name, text),
-        None => Text::read(&path).map_err(|source| {
-            let path = path.clone();
-            if source.kind() != std::io::ErrorKind::NotFound {
-                return ConfigError::Read { path, source };
-            }
-            let known: Vec<&str> = EMBEDDED.iter().map(|(name, _)| *name).collect();
-            ConfigError::Unknown { path, known: known.join(", ") }
-        })?,
-    };
-    let mut value = text.parse()?;
-    texts.push(text.clone());
-    if embedded.is_none() {
-        resolve_robot(&mut value, &path);
-    }
-    let base = value.as_mapping_mut().and_then(|mapping| mapping.remove("base"));
-    let Some(base) = base else {
-        resolve_lists(None, &mut value, &text)?;
-        return Ok(value);
-    };
-    let problem = |message: &str| YamlError::new(name_or_path, message);
-    let base = base.as_str().ok_or_else(|| problem("`base` must be a config's name or path"))?;
-    if bases_left == 0 {
-        return Err(problem("`base` is nested too deep: does a config name itself?").into());
-    }
-    let mut whole = merged(base, path.parent().unwrap_or(folder), bases_left - 1, texts, notes)?;
-    let found = resolve_lists(Some(&whole), &mut value, &text)?;
-    // The shipped ones mean it.
-    notes.extend(found.into_iter().filter(|_| embedded.is_none()));
-    yaml::overlay(&mut whole, value);
-    Ok(whole)
-}
-
-/// Keys of the lists of quantities, which a configuration may state as `{append: [...]}`.
-const LISTS: [&str; 2] = ["observation", "critic_observation"];
-
-/// Replaces `{append: [...]}` by the list of the base with these entries at its end. Returns a note for each list that lacks
-/// quantities of the base's.
-fn resolve_lists(base: Option<&Value>, value: &mut Value, text: &Text) -> Result<Vec<String>, YamlError> {
-    let mut notes = Vec::new();
-    for key in LISTS {
-        let of_base = base.and_then(|base| base.get(key)).and_then(Value::as_sequence).cloned().unwrap_or_default();
-        match value.get_mut(key) {
-            Some(Value::Sequence(list)) => {
-                let is_dropped = |entry: &&Value| !list.iter().any(|own| own.get("quantity") == entry.get("quantity"));
-                let dropped = of_base.iter().filter(is_dropped).filter_map(|entry| entry.get("quantity")?.as_str());
-                let dropped: Vec<&str> = dropped.collect::<BTreeSet<_>>().into_iter().collect();
-                if !dropped.is_empty() {
-                    let (place, dropped) = (yaml::place(std::slice::from_ref(text), key), dropped.join(", "));
-                    notes.push(format!(
-                        "{place}: {key} replaces the list of its base and drops {dropped}; to add to that list, write \
-                         {key}: {{append: [...]}}"
-                    ));
-                }
-            }
-            Some(Value::Mapping(mapping)) => {
-                let problem = |problem: &str| text.error(key, problem);
-                if let Some(other) = mapping.keys().find(|key| key.as_str() != Some("append")) {
-                    let other = yaml::to_text(other);
-                    return Err(problem(&format!("unknown key `{}`, expected a list, or `append`", other.trim_end())));
-                }
-                if base.is_none() {
-                    return Err(problem(
-                        "`append` adds to the list of a `base`, which is missing: name one, or state the list",
-                    ));
-                }
-                let Some(Value::Sequence(added)) = mapping.get("append") else {
-                    return Err(problem("expected a list after `append`"));
-                };
-                let list = of_base.into_iter().chain(added.iter().cloned()).collect();
-                value[key] = Value::Sequence(list);
-            }
-            _ => (),
-        }
-    }
-    Ok(notes)
-}
-
-/// Turns a change such as `ppo.epochs=4` into the YAML text that states it.
-fn changing(change: &str) -> Result<Text, YamlError> {
-    let name = format!("--set {change}");
-    let Some((key, value)) = change.split_once('=').filter(|(key, _)| !key.is_empty()) else {
-        return Err(YamlError::new(&name, "expected KEY=VALUE, as in ppo.epochs=4"));
-    };
-    let depth = key.split('.').count();
-    let opened: String = key.split('.').map(|part| format!("{{{part}: ")).collect();
-    Ok(Text::of_flag(&name, &format!("{opened}{value}{}", "}".repeat(depth))))
-}
-
-/// Makes the path of a robot's file relative to the folder of the configuration that names it.
-fn resolve_robot(value: &mut Value, file: &Path) {
-    let model = value.get_mut("robot").and_then(|robot| robot.get_mut("model"));
-    if let Some(Value::String(model)) = model {
-        *model = robot_in(file.parent().unwrap_or(Path::new("")), model);
-    }
-}
-
-/// Returns the name of a shipped robot, or the absolute path of a robot's file, which is relative to `folder`.
-fn robot_in(folder: &Path, model: &str) -> String {
-    if Robot::ships(model) {
-        return model.to_owned();
-    }
-    let path = folder.join(PathBuf::from(model));
-    std::path::absolute(&path).unwrap_or(path).display().to_string()
-}
-
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
+
     use super::*;
-    use crate::observation::{Observed, Quantity};
 
     fn changed(from: &str, to: &str) -> Result<Config, ConfigError> {
         let text = EMBEDDED[0].1;
@@ -436,6 +302,10 @@ mod tests {
                 "critic_observation=[{quantity: friction, scale: 0}]",
                 "critic_observation: observation, entry 1 (friction)",
             ),
+            (
+                "ppo={learner: candle, shards: 4}",
+                "ppo.shards is 4, which ppo.learner: candle does not know: leave the key out, or set ppo.learner: fused",
+            ),
             ("ppo.epoch=4", "unknown field `epoch`"),
             ("epochs=4", "unknown field `epochs`"),
             ("ppo=4", "invalid type"),
@@ -447,85 +317,19 @@ mod tests {
         }
     }
 
-    /// Writes a YAML file and loads it as a configuration.
-    fn written(text: &str) -> Result<(Config, Vec<String>), ConfigError> {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("own.yaml");
-        std::fs::write(&path, text).unwrap();
-        Config::load_with_notes(path.to_str().unwrap(), &[])
-    }
-
-    #[test]
-    fn appended_entries_follow_those_of_the_base() {
-        let added = "[{quantity: friction, scale: 2.0}, {quantity: latency}]";
-        let (own, notes) = written(&format!(
-            "base: real\nobservation: {{append: [{{quantity: base_height}}]}}\ncritic_observation: {{append: {added}}}"
-        ))
-        .unwrap();
-        let base = Config::load("real").unwrap();
-        assert!(notes.is_empty());
-        assert_eq!(own.observation[..7], base.observation);
-        assert_eq!(own.observation[7..], [Observed::now(Quantity::BaseHeight)]);
-        assert_eq!((own.critic_observation.len(), &own.critic_observation[..11]), (13, &base.critic_observation[..]));
-        assert!(own.to_yaml().matches("quantity: base_height").count() == 2 && !own.to_yaml().contains("append"));
-        // A base without a list has an empty one; --set adds to what the file states.
-        let set = ["critic_observation.append=[{quantity: friction}]".to_owned()];
-        assert_eq!(Config::load_with("fast", &set).unwrap().critic_observation, [Observed::now(Quantity::Friction)]);
-    }
-
-    #[test]
-    fn list_that_drops_quantities_of_its_base_is_noted() {
-        let observation = "observation: [{quantity: gravity}, {quantity: joint_angles}, {quantity: command}]";
-        let (own, notes) = written(&format!("base: fast\n{observation}")).unwrap();
-        assert_eq!(own.observation.len(), 3);
-        let [note] = &notes[..] else { panic!("{notes:?}") };
-        assert!(note.contains("own.yaml, line 2: observation replaces the list of its base and drops angular_velocity, base_height, base_velocity, joint_rates, last_target; "), "{note}");
-        assert!(written("base: real\nreward: {flight: -1.0}").unwrap().1.is_empty());
-    }
-
-    #[test]
-    fn append_of_another_form_is_refused() {
-        for (text, expected) in [
-            ("base: fast\nobservation: {append: 3}", "own.yaml, line 2: observation: expected a list after `append`"),
-            ("base: fast\nobservation: {}", "observation: expected a list after `append`"),
-            (
-                "base: fast\nobservation:\n  append: []\n  prepend: []",
-                "observation: unknown key `prepend`, expected a list",
-            ),
-            (
-                "base: fast\nobservation: {append: [{quantity: warmth}]}",
-                "line 2: observation[14].quantity: unknown variant `warmth`",
-            ),
-            (
-                "robot: {model: go1}\nobservation: {append: []}",
-                "line 2: observation: `append` adds to the list of a `base`",
-            ),
-        ] {
-            let error = written(text).unwrap_err().to_string();
-            assert!(error.contains(expected), "{error}");
-        }
-    }
-
-    /// Returns the paths of all keys of a value, at any depth.
-    fn paths(value: &Value, path: &[Value]) -> Vec<Vec<Value>> {
-        let step = |key: &Value, value: &Value| {
-            let path = [path, std::slice::from_ref(key)].concat();
-            [vec![path.clone()], paths(value, &path)].concat()
-        };
+    /// Returns the paths of all keys of a value, in the order of [`yaml::without_entry`].
+    fn paths(value: &Value, path: &str) -> Vec<String> {
+        let within = |(key, value): (String, &Value)| paths(value, &format!("{path}.{key}"));
         match value {
-            Value::Mapping(entries) => entries.iter().flat_map(|(key, value)| step(key, value)).collect(),
-            Value::Sequence(list) => (0..list.len()).flat_map(|k| step(&k.into(), &list[k])).collect(),
+            Value::Mapping(entries) => {
+                let entries = || entries.iter().map(|(key, value)| (key.as_str().unwrap().to_owned(), value));
+                entries().map(|(key, _)| format!("{path}.{key}")).chain(entries().flat_map(within)).collect()
+            }
+            Value::Sequence(list) => {
+                list.iter().enumerate().map(|(k, value)| (k.to_string(), value)).flat_map(within).collect()
+            }
             _ => Vec::new(),
         }
-    }
-
-    /// Returns the mapping that holds the key at the end of a path.
-    fn holder<'a>(value: &'a mut Value, path: &[Value]) -> Option<&'a mut Value> {
-        let [at @ .., _] = path else { return None };
-        at.iter().try_fold(value, |value, key| match key.as_u64() {
-            Some(k) => value.get_mut(k as usize),
-            None => value.get_mut(key),
-        })
     }
 
     #[test]
@@ -536,24 +340,25 @@ mod tests {
             terrain,
         ];
         let all = Config::load_with("real", &changes.map(str::to_owned)).unwrap().all_keys();
-        let mut optional = Vec::new();
-        for path in paths(&all, &[]) {
-            let mut without = all.clone();
-            let Some(Value::Mapping(entries)) = holder(&mut without, &path) else { continue };
-            let key = path.last().unwrap();
-            entries.remove(key);
+        let mut optional = String::new();
+        for (k, path) in paths(&all, "").into_iter().enumerate() {
             // A required key is missed.
+            let without = yaml::without_entry(&all, k).unwrap();
             let Ok(config) = yaml::typed::<Config>(without, &[]) else { continue };
-            let yaml = config.to_yaml();
-            let mut written = Text::new("written", &yaml).parse().unwrap();
-            assert!(holder(&mut written, &path).is_some_and(|entries| entries.get(key).is_none()), "{path:?}: {yaml}");
-            assert_eq!(yaml::typed::<Config>(written, &[]).unwrap(), config, "{path:?}");
-            optional.extend(key.as_str().map(str::to_owned));
+            let written = Text::new("written", &config.to_yaml()).parse().unwrap();
+            assert!(!paths(&written, "").contains(&path), "{path}: {written:?}");
+            assert_eq!(yaml::typed::<Config>(written, &[]).unwrap(), config, "{path}");
+            optional += &format!("{path} ");
         }
-        for key in
-            ["damping_n_m_s_per_rad", "shards", "learner", "precision", "buckets", "trunk_mass_kg", "clip", "terrain"]
-        {
-            assert!(optional.iter().any(|found| found == key), "{key} is no longer optional: {optional:?}");
+        for key in [
+            ".robot.damping_n_m_s_per_rad",
+            ".ppo.shards",
+            ".ppo.precision",
+            ".pulls.buckets",
+            ".observation.7.clip",
+            ".terrain",
+        ] {
+            assert!(optional.contains(&format!("{key} ")), "{key} is no longer optional: {optional}");
         }
     }
 
@@ -563,20 +368,5 @@ mod tests {
         let error = Config::from_yaml("runs/a/config.yaml", &text).unwrap_err().to_string();
         assert!(error.starts_with("config runs/a/config.yaml, line ") && error.ends_with(
             "reward.warmth: unknown field `warmth`: another version of Supple wrote this file; use that version, or remove the key"), "{error}");
-        let error = written("base: fast\nreward: {warmth: 1.0}").unwrap_err().to_string();
-        assert!(
-            error
-                .contains("own.yaml, line 2: reward.warmth: unknown field `warmth`, expected one of `linear_velocity`"),
-            "{error}"
-        );
-    }
-
-    #[test]
-    fn a_config_that_is_its_own_base_is_refused() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("loop.yaml");
-        std::fs::write(&path, "base: loop.yaml\n").unwrap();
-        let error = Config::load(path.to_str().unwrap()).unwrap_err().to_string();
-        assert!(error.contains("nested too deep"), "{error}");
     }
 }

@@ -201,21 +201,24 @@ pub fn without_defaults<T: Serialize + DeserializeOwned + PartialEq>(value: &T) 
 /// Returns those of all keys of a value without which it would not read back as the same.
 pub fn needed_keys<T: DeserializeOwned + PartialEq>(value: &T, mut keys: Value) -> Value {
     let mut needed = 0;
-    loop {
-        let mut visited = 0;
-        let shorter = filtered(&keys, &mut |_| {
-            visited += 1;
-            visited != needed + 1
-        });
-        if visited <= needed {
-            return keys;
-        }
+    while let Some(shorter) = without_entry(&keys, needed) {
         if serde_yaml::from_value(shorter.clone()).is_ok_and(|read: T| read == *value) {
             keys = shorter;
         } else {
             needed += 1;
         }
     }
+    keys
+}
+
+/// Returns a value without the entry of its mappings, at any depth, that comes after `before` others; `None` if there is none.
+pub(crate) fn without_entry(value: &Value, before: usize) -> Option<Value> {
+    let mut visited = 0;
+    let shorter = filtered(value, &mut |_| {
+        visited += 1;
+        visited != before + 1
+    });
+    (visited > before).then_some(shorter)
 }
 
 /// Serialises a struct without the keys that stand at their default, for `#[serde(serialize_with)]`.
