@@ -11,7 +11,7 @@ use rand::RngExt;
 use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 
-use super::inference::{Action, Buffers, Inference, Meaning, Network};
+use super::inference::{Buffers, Inference, Network};
 use super::pytorch;
 use crate::config::{Config, Simulation, ValueError};
 use crate::network::{ActorCritic, Mlp, NetworkError, PackedMlp};
@@ -171,7 +171,8 @@ impl Policy {
         let config = &provenance.config;
         let usage = Usage::new(&layout, robot);
         let nominal_pose = config.action.nominal_pose_rad.joints();
-        let inference = inference(&network.policy, layout, nominal_pose, config.action.scale_rad, &config.simulation);
+        let mlp = Network::Mlp(PackedMlp::new(&network.policy));
+        let inference = Inference::new(layout, nominal_pose, config.action.scale_rad, mlp, &config.simulation);
         let mut policy = Policy { actor: network.policy.clone(), usage, inference, provenance, sha256: String::new() };
         // What was built from whole tensors can be serialised.
         policy.sha256 = files::sha256(&[&policy.to_bytes().unwrap_or_default()]);
@@ -284,7 +285,8 @@ impl Policy {
         let network = tensors::read_group(&tensors, "policy.")?;
         let actor = Mlp::from_tensors(network, length, JOINTS)?;
         let Metadata { nominal_pose_rad, scale_rad, provenance, usage, .. } = metadata;
-        let inference = inference(&actor, layout, nominal_pose_rad, scale_rad, &provenance.config.simulation);
+        let mlp = Network::Mlp(PackedMlp::new(&actor));
+        let inference = Inference::new(layout, nominal_pose_rad, scale_rad, mlp, &provenance.config.simulation);
         let policy = Policy { actor, inference, provenance, usage, sha256: files::sha256(&[bytes]) };
         let observations = read("golden.observation", &[GOLDEN, length])?;
         let expected = read("golden.joint_target", &[GOLDEN, JOINTS])?;
@@ -317,20 +319,6 @@ impl Policy {
             .collect();
         let targets = self.targets_of(&observations);
         (observations, targets)
-    }
-}
-
-fn inference(actor: &Mlp, layout: Layout, nominal_pose: Joints, scale_rad: f64, simulation: &Simulation) -> Inference {
-    Inference {
-        layout,
-        action: Action {
-            nominal_pose,
-            meaning: Meaning::OffsetFromNominal,
-            scale_rad: [scale_rad; JOINTS],
-            clip: f64::INFINITY,
-        },
-        network: Network::Mlp(PackedMlp::new(actor)),
-        period_s: simulation.policy_period_s(),
     }
 }
 
