@@ -40,7 +40,7 @@ pub fn measure(config: &Config, threads: usize, effort: &Effort) -> anyhow::Resu
     std::fs::create_dir_all(&folder)?;
     let write = |name: &str, text: &str| std::fs::write(folder.join(name), text).context(name.to_owned());
     let layout = config.layout()?;
-    let mut told = serde_json::to_value(config.all_keys())?;
+    let mut told = serde_json::to_value(config)?;
     told["normaliser"] = serde_json::json!({ "offset": layout.offset(), "scale": layout.scale() });
     write("config.json", &told.to_string())?;
     let scene = Scene::flat(Robot::load("go1")?, config.simulation.timestep_s());

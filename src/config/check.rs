@@ -5,7 +5,7 @@ use std::ops::RangeInclusive;
 
 use garde::Validate;
 
-use super::{Config, Gain, LearnerKind, LegPose, Ppo, Precision};
+use super::{Config, LearnerKind, PerJoint, Ppo, Precision};
 use crate::observation::LayoutError;
 use crate::robot::JOINTS;
 use crate::util::yaml;
@@ -126,7 +126,7 @@ pub fn not_negative(value: &f64, _: &Config) -> garde::Result {
     require(*value >= 0.0 && value.is_finite(), value, "a number not below zero")
 }
 
-pub fn gains_not_negative(gain: &Gain, _: &Config) -> garde::Result {
+pub fn gains_not_negative(gain: &PerJoint, _: &Config) -> garde::Result {
     let valid = gain.joints().iter().all(|gain| *gain >= 0.0 && gain.is_finite());
     require(valid, gain, "a number not below zero, three (hip, thigh, calf), or twelve")
 }
@@ -150,9 +150,9 @@ pub fn physics_rate(rate: &u32, config: &Config) -> garde::Result {
     )
 }
 
-pub fn finite_angles(pose: &LegPose, _: &Config) -> garde::Result {
-    let angles = pose.joints();
-    require(angles.iter().all(|angle| angle.is_finite()), format!("{angles:?}"), "finite angles")
+pub fn finite_angles(pose: &PerJoint, _: &Config) -> garde::Result {
+    let valid = !matches!(pose, PerJoint::Same(_)) && pose.joints().iter().all(|angle| angle.is_finite());
+    require(valid, pose, "three finite angles (hip, thigh, calf), or twelve")
 }
 
 pub fn a_step_to_an_hour(duration_s: &f64, config: &Config) -> garde::Result {
@@ -206,7 +206,7 @@ pub fn power_of_two_that_divides(shards: &usize, config: &Config) -> garde::Resu
     Ok(())
 }
 
-pub fn known_to_learner(precision: &Precision, config: &Config) -> garde::Result {
+pub fn supported_precision(precision: &Precision, config: &Config) -> garde::Result {
     let valid = config.ppo.learner == LearnerKind::Fused || matches!(precision, Precision::Auto | Precision::F32);
     require(valid, yaml::to_text(precision).trim_end(), "auto or f32 with ppo.learner: candle")
 }

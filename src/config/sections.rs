@@ -4,20 +4,19 @@ use std::fmt;
 use std::sync::Arc;
 
 use garde::Validate;
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use serde::{Deserialize, Serialize};
 
 use super::LOG_STD_RANGE;
 use super::check::{
     MAX_BATCH_SIZE, MAX_EPOCHS, MAX_STAGE_S, a_step_to_an_hour, at_least_one, between_learning_rates, cost, delays,
-    divides_batch, divides_batch_above_one, finite_angles, fraction, gains_not_negative, known_to_learner,
-    layer_widths, low_and_high, not_negative, physics_rate, positive, power_of_two_that_divides, rising_to_one,
-    shortest_and_longest, within,
+    divides_batch, divides_batch_above_one, finite_angles, fraction, gains_not_negative, layer_widths, low_and_high,
+    not_negative, physics_rate, positive, power_of_two_that_divides, rising_to_one, shortest_and_longest,
+    supported_precision, within,
 };
 use crate::observation::{Layout, LayoutError, NominalValues, Observed};
 use crate::robot::{JOINTS, Joints, Losses, Robot, same_in_every_leg};
 use crate::util::files::FileError;
 use crate::util::numbers::maximum;
-use crate::util::yaml;
 
 /// A training configuration: everything that defines a run except its seed.
 ///
@@ -32,7 +31,7 @@ use crate::util::yaml;
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Validate)]
-#[serde(deny_unknown_fields, remote = "Self")]
+#[serde(deny_unknown_fields)]
 #[garde(context(Config))]
 pub struct Config {
     /// The robot and its joint losses.
@@ -128,10 +127,10 @@ pub struct Simulation {
     pub policy_rate_hz: u32,
     /// Proportional gain `K_p` of the PD controller [N·m/rad].
     #[garde(custom(gains_not_negative))]
-    pub kp_n_m_per_rad: Gain,
+    pub kp_n_m_per_rad: PerJoint,
     /// `K_d` [N·m·s/rad].
     #[garde(custom(gains_not_negative))]
-    pub kd_n_m_s_per_rad: Gain,
+    pub kd_n_m_s_per_rad: PerJoint,
     /// Delay of the joint target \[s\].
     #[garde(custom(within(0.0..=1.0, " s")))]
     pub latency_s: f64,
@@ -159,11 +158,11 @@ impl Simulation {
     }
 }
 
-/// A gain of the joint controller: one for all joints, one for each joint of a leg, or one for each joint.
+/// Numbers of the joints: one for all, one for each joint of a leg, or one for each joint.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(untagged, expecting = "a number, three (hip, thigh, calf), or twelve")]
-pub enum Gain {
-    /// The gain of every joint.
+pub enum PerJoint {
+    /// The number of every joint.
     Same(f64),
     /// Those of hip, thigh and calf of every leg.
     Alike([f64; 3]),
@@ -171,54 +170,51 @@ pub enum Gain {
     Each(Joints),
 }
 
-impl Gain {
-    /// Returns the gain of each joint.
+impl PerJoint {
+    /// Returns the number of each joint.
     pub fn joints(&self) -> Joints {
         match *self {
-            Gain::Same(gain) => [gain; JOINTS],
-            Gain::Alike(leg) => same_in_every_leg(leg),
-            Gain::Each(joints) => joints,
+            PerJoint::Same(number) => [number; JOINTS],
+            PerJoint::Alike(leg) => same_in_every_leg(leg),
+            PerJoint::Each(joints) => joints,
         }
     }
 
-    /// Returns the gain with every number replaced.
+    /// Returns these numbers, each replaced.
     pub fn map(self, f: impl Fn(f64) -> f64) -> Self {
         match self {
-            Gain::Same(gain) => Gain::Same(f(gain)),
-            Gain::Alike(leg) => Gain::Alike(leg.map(f)),
-            Gain::Each(joints) => Gain::Each(joints.map(f)),
+            PerJoint::Same(number) => PerJoint::Same(f(number)),
+            PerJoint::Alike(leg) => PerJoint::Alike(leg.map(f)),
+            PerJoint::Each(joints) => PerJoint::Each(joints.map(f)),
         }
     }
 
-    /// Returns the largest gain of a joint.
+    /// Returns the largest of the numbers, or 0 if that is larger.
     pub fn largest(&self) -> f64 {
         self.joints().into_iter().fold(0.0, maximum)
     }
 }
 
-impl fmt::Display for Gain {
+impl fmt::Display for PerJoint {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Gain::Same(gain) => write!(f, "{gain}"),
-            Gain::Alike(leg) => write!(f, "{leg:?}"),
-            Gain::Each(joints) => write!(f, "{joints:?}"),
+            PerJoint::Same(number) => write!(f, "{number}"),
+            PerJoint::Alike(leg) => write!(f, "{leg:?}"),
+            PerJoint::Each(joints) => write!(f, "{joints:?}"),
         }
     }
 }
 
-impl From<f64> for Gain {
-    fn from(gain: f64) -> Self {
-        Gain::Same(gain)
+impl From<f64> for PerJoint {
+    fn from(number: f64) -> Self {
+        PerJoint::Same(number)
     }
 }
 
-impl From<Joints> for Gain {
+impl From<Joints> for PerJoint {
     fn from(joints: Joints) -> Self {
-        match LegPose::from(joints) {
-            _ if joints == [joints[0]; JOINTS] => Gain::Same(joints[0]),
-            LegPose::Alike(leg) => Gain::Alike(leg),
-            LegPose::Each(joints) => Gain::Each(joints),
-        }
+        let leg = [joints[0], joints[1], joints[2]];
+        if same_in_every_leg(leg) == joints { PerJoint::Alike(leg) } else { PerJoint::Each(joints) }
     }
 }
 
@@ -230,46 +226,10 @@ pub struct Action {
     /// Joint targets at action zero \[rad\]: hip, thigh and calf of every leg, or twelve angles in the order of
     /// [`crate::robot::LEGS`].
     #[garde(custom(finite_angles))]
-    pub nominal_pose_rad: LegPose,
+    pub nominal_pose_rad: PerJoint,
     /// \[rad\] per unit of action.
     #[garde(custom(positive))]
     pub scale_rad: f64,
-}
-
-/// Joint angles of one leg, used for every leg, or those of all four.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(untagged, expecting = "three angles, or twelve")]
-pub enum LegPose {
-    /// Hip, thigh and calf of every leg \[rad\].
-    Alike([f64; 3]),
-    /// Twelve angles, leg by leg \[rad\].
-    Each(Joints),
-}
-
-impl LegPose {
-    /// Returns the angle of each joint \[rad\].
-    pub fn joints(&self) -> Joints {
-        match *self {
-            LegPose::Alike(leg) => same_in_every_leg(leg),
-            LegPose::Each(joints) => joints,
-        }
-    }
-}
-
-impl fmt::Display for LegPose {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            LegPose::Alike(leg) => write!(f, "{leg:?}"),
-            LegPose::Each(joints) => write!(f, "{joints:?}"),
-        }
-    }
-}
-
-impl From<Joints> for LegPose {
-    fn from(joints: Joints) -> Self {
-        let leg = [joints[0], joints[1], joints[2]];
-        if same_in_every_leg(leg) == joints { LegPose::Alike(leg) } else { LegPose::Each(joints) }
-    }
 }
 
 /// Range of velocity commands, which are drawn uniformly from ± range · fraction, base frame.
@@ -537,7 +497,7 @@ pub struct Ppo {
     pub learner: LearnerKind,
     /// The precision of the learner's arithmetic.
     #[serde(default)]
-    #[garde(custom(known_to_learner))]
+    #[garde(custom(supported_precision))]
     pub precision: Precision,
     /// True trains on half of the samples with left and right exchanged.
     #[garde(skip)]
@@ -647,27 +607,7 @@ pub struct Run {
     pub keep_policy_every: Option<u64>,
 }
 
-/// Leaves out the keys that stand at their default, so that programs that do not know them can read what does not use them.
-impl Serialize for Config {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        yaml::needed_keys(self, self.all_keys()).serialize(serializer)
-    }
-}
-
-impl<'de> Deserialize<'de> for Config {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        Config::deserialize(deserializer)
-    }
-}
-
 impl Config {
-    /// Returns every key with its value, also those that stand at their default.
-    pub fn all_keys(&self) -> yaml::Value {
-        #[derive(Serialize)]
-        struct AllKeys(#[serde(serialize_with = "Config::serialize")] Config);
-        yaml::to_value(&AllKeys(self.clone()))
-    }
-
     /// Builds the layout of the observation.
     ///
     /// # Errors

@@ -57,6 +57,7 @@ pub struct Provenance {
     /// Name of the configuration.
     pub config_name: String,
     /// The whole configuration.
+    #[serde(serialize_with = "yaml::serialize_without_defaults")]
     pub config: Config,
     /// Seed of the run.
     pub seed: u64,
@@ -442,7 +443,8 @@ mod tests {
     }
 
     #[test]
-    fn key_of_another_version_is_explained() {
+    fn key_of_another_version_is_explained_and_unwritten_at_its_default() {
+        assert!(!policy().metadata_json().contains("friction_loss_n_m"));
         let mut newer = policy().to_bytes().unwrap();
         let at = newer.windows(6).position(|window| window == b"flight").unwrap();
         newer[at..at + 6].copy_from_slice(b"warmth");

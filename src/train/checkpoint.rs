@@ -97,6 +97,7 @@ pub struct RunState {
     /// Name of the configuration.
     pub config_name: String,
     /// Configuration of the run.
+    #[serde(serialize_with = "crate::util::yaml::serialize_without_defaults")]
     pub config: Config,
     /// Git revision of the program that wrote the checkpoint.
     pub git_revision: String,

@@ -195,12 +195,7 @@ pub fn to_value(value: &impl Serialize) -> Value {
 /// Returns a struct as [`to_value`] does, but without the keys that stand at their default: those without which it reads back
 /// as the same. A program that does not know such a key can read the rest.
 pub fn without_defaults<T: Serialize + DeserializeOwned + PartialEq>(value: &T) -> Value {
-    needed_keys(value, to_value(value))
-}
-
-/// Returns those of all keys of a value without which it would not read back as the same.
-pub fn needed_keys<T: DeserializeOwned + PartialEq>(value: &T, mut keys: Value) -> Value {
-    let mut needed = 0;
+    let (mut keys, mut needed) = (to_value(value), 0);
     while let Some(shorter) = without_entry(&keys, needed) {
         if serde_yaml::from_value(shorter.clone()).is_ok_and(|read: T| read == *value) {
             keys = shorter;

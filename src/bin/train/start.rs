@@ -90,7 +90,7 @@ fn check_alike(trainer: &Trainer) -> anyhow::Result<()> {
     let program = std::env::current_exe().and_then(std::fs::read);
     let program = program.map_or_else(|error| error.to_string(), |bytes| files::sha256(&[&bytes]));
     let run = trainer.run();
-    let mut facts = serde_json::to_value(run.config.all_keys())?;
+    let mut facts = serde_json::to_value(&run.config)?;
     facts["seed"] = run.seed.into();
     facts["robot's checksum"] = run.robot_sha256.clone().into();
     facts["program"] = format!("revision {} with the checksum {program}", git_revision()).into();

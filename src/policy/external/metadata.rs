@@ -125,7 +125,7 @@ impl Entries {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::Gain;
+    use crate::config::PerJoint;
     use crate::observation::StepsAgo;
 
     fn metadata(changes: &[(&str, &str)]) -> Entries {
@@ -158,7 +158,7 @@ mod tests {
         let found = found(&metadata(&[("observation_history_lengths", "0,1,3,1,1,1,1")])).ok().unwrap();
         assert_eq!(found.joints[..2], ["FL_hip_joint", "FR_hip_joint"]);
         assert_eq!(found.nominal_pose[..2], [0.1, -0.1]);
-        assert_eq!((found.kp_n_m_per_rad, found.kd_n_m_s_per_rad), (Gain::Same(25.0), Gain::Same(0.5)));
+        assert_eq!((found.kp_n_m_per_rad, found.kd_n_m_s_per_rad), (PerJoint::Same(25.0), PerJoint::Same(0.5)));
         assert_eq!(found.scale_rad, Numbers::All(0.25));
         let quantities: Vec<Quantity> = found.observation.iter().map(|observed| observed.quantity).collect();
         assert_eq!(

@@ -9,7 +9,7 @@ use std::path::Path;
 
 use super::text::Description;
 use super::{deploy, metadata};
-use crate::config::{Gain, RobotModel, Simulation};
+use crate::config::{PerJoint, RobotModel, Simulation};
 use crate::observation::{Numbers, Observed, Quantity, StepsAgo};
 use crate::policy::inference::Meaning;
 use crate::robot::{JOINTS, joint_names};
@@ -33,8 +33,8 @@ pub(super) struct Found {
     pub(super) joints: Vec<String>,
     /// Nominal pose in that order \[rad\].
     pub(super) nominal_pose: [f64; JOINTS],
-    pub(super) kp_n_m_per_rad: Gain,
-    pub(super) kd_n_m_s_per_rad: Gain,
+    pub(super) kp_n_m_per_rad: PerJoint,
+    pub(super) kd_n_m_s_per_rad: PerJoint,
     pub(super) policy_rate_hz: u32,
     pub(super) observation: Vec<Observed>,
     /// Ages of the whole observation \[policy steps\].
@@ -161,10 +161,10 @@ pub(super) fn for_each_joint(key: &str, found: &[f64]) -> Result<[f64; JOINTS], 
 }
 
 /// Returns the gains of a list in the order of `joints`, names that a leg and a part begin, such as `FL_hip_joint`.
-pub(super) fn gain(key: &str, found: &[f64], joints: &[String]) -> Result<Gain, Fault> {
+pub(super) fn gain(key: &str, found: &[f64], joints: &[String]) -> Result<PerJoint, Fault> {
     let gains = for_each_joint(key, found)?;
     if gains == [gains[0]; JOINTS] {
-        return Ok(Gain::Same(gains[0]));
+        return Ok(PerJoint::Same(gains[0]));
     }
     let mut ordered = [0.0; JOINTS];
     for (place, name) in joint_names().iter().enumerate() {
@@ -176,5 +176,5 @@ pub(super) fn gain(key: &str, found: &[f64], joints: &[String]) -> Result<Gain, 
         })?;
         ordered[place] = gains[at];
     }
-    Ok(Gain::from(ordered))
+    Ok(PerJoint::from(ordered))
 }
