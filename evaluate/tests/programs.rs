@@ -44,7 +44,7 @@ const FIGURES: &str = "walk push-grid decay table4 directions directions-carried
 /// A policy that folds its legs and lies down at once.
 fn falling_policy() -> Policy {
     let mut config = Config::load("compliant").unwrap();
-    config.action.nominal_pose_rad = supple::config::LegPose::Alike([0.0, 1.5, -2.7]);
+    config.action.nominal_pose_rad = supple::config::PerJoint::Alike([0.0, 1.5, -2.7]);
     zero_policy(config)
 }
 

@@ -272,13 +272,13 @@ fn unfit_policies_and_robots_are_refused_in_one_line() {
 
     let cases: [(&[&str], &str); 19] = [
         (&["--policy", "rsl_rl.onnx"], "describe it in a YAML file"),
-        (&["--policy", "short.yaml"], "its observation has 36 numbers (BaseVelocity 3,"),
+        (&["--policy", "short.yaml"], "its observation has 36 numbers (base_velocity 3,"),
         (&["--policy", "short.yaml"], "but the input 'obs' of rsl_rl.onnx takes 48"),
         (&["--policy", "joint.yaml"], "`joints` has 'tail', which is no joint of the robot"),
         (&["--policy", "twice.yaml"], "must name each of these once"),
         (&["--policy", "key.yaml"], "unknown field `observation_klip`"),
         (&["--policy", "fast.yaml"], "up to 20000"),
-        (&["--policy", "axis.yaml"], "entry 3 (ProjectedGravity): `elements` has 'yaw'"),
+        (&["--policy", "axis.yaml"], "entry 3 (projected_gravity): `elements` has 'yaw'"),
         (&["--policy", "scale.yaml"], "`scale` has 2 numbers, expected one, or 3"),
         (&["--policy", "old.yaml"], "ages from 0 to 200 policy steps"),
         (&["--policy", "gone.yaml"], "gone.onnx: No such file"),

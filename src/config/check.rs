@@ -5,7 +5,7 @@ use std::ops::RangeInclusive;
 
 use garde::Validate;
 
-use super::{Config, Gain, LearnerKind, LegPose, Precision};
+use super::{Config, LearnerKind, PerJoint, Ppo, Precision};
 use crate::observation::LayoutError;
 use crate::robot::JOINTS;
 use crate::util::yaml;
@@ -59,10 +59,32 @@ impl Config {
         {
             return Err(ValueError::Range { key: path.to_string(), problem: error.message().to_owned() });
         }
+        self.check_learner()?;
         let layout = self.layout()?;
         self.critic_layout().map_err(ValueError::Critic)?;
         self.check_policy(layout.length())?;
         self.check_terrain()
+    }
+
+    /// Refuses optional keys of `ppo` that the learner would ignore, unless they stand at their default.
+    fn check_learner(&self) -> Result<(), ValueError> {
+        let (ppo, keys) = (&self.ppo, yaml::to_value(&self.ppo));
+        for (key, value) in keys.as_mapping().into_iter().flatten() {
+            let mut others = keys.clone();
+            others.as_mapping_mut().map(|others| others.remove(key));
+            let is_stated = yaml::typed(others, &[]).is_ok_and(|without: Ppo| without != *ppo);
+            let key = key.as_str().unwrap_or_default();
+            if is_stated && !ppo.learner.knows(key) {
+                let [value, learner] = [yaml::to_text(value), yaml::to_text(&ppo.learner)];
+                let (value, learner) = (value.trim_end(), learner.trim_end());
+                let other = if ppo.learner == LearnerKind::Fused { "candle" } else { "fused" };
+                let problem = format!(
+                    "is {value}, which ppo.learner: {learner} does not know: leave the key out, or set ppo.learner: {other}"
+                );
+                return Err(ValueError::Range { key: format!("ppo.{key}"), problem });
+            }
+        }
+        Ok(())
     }
 
     /// Refuses networks whose policy files no program would read.
@@ -104,7 +126,7 @@ pub fn not_negative(value: &f64, _: &Config) -> garde::Result {
     require(*value >= 0.0 && value.is_finite(), value, "a number not below zero")
 }
 
-pub fn gains_not_negative(gain: &Gain, _: &Config) -> garde::Result {
+pub fn gains_not_negative(gain: &PerJoint, _: &Config) -> garde::Result {
     let valid = gain.joints().iter().all(|gain| *gain >= 0.0 && gain.is_finite());
     require(valid, gain, "a number not below zero, three (hip, thigh, calf), or twelve")
 }
@@ -128,9 +150,9 @@ pub fn physics_rate(rate: &u32, config: &Config) -> garde::Result {
     )
 }
 
-pub fn finite_angles(pose: &LegPose, _: &Config) -> garde::Result {
-    let angles = pose.joints();
-    require(angles.iter().all(|angle| angle.is_finite()), format!("{angles:?}"), "finite angles")
+pub fn finite_angles(pose: &PerJoint, _: &Config) -> garde::Result {
+    let valid = !matches!(pose, PerJoint::Same(_)) && pose.joints().iter().all(|angle| angle.is_finite());
+    require(valid, pose, "three finite angles (hip, thigh, calf), or twelve")
 }
 
 pub fn a_step_to_an_hour(duration_s: &f64, config: &Config) -> garde::Result {
@@ -181,10 +203,10 @@ pub fn power_of_two_that_divides(shards: &usize, config: &Config) -> garde::Resu
     for (what, count) in [("environments", ppo.environments), ("minibatch_size", ppo.minibatch_size)] {
         require(count.is_multiple_of(*shards), shards, format!("a divisor of ppo.{what} ({count})"))?;
     }
-    require(ppo.learner == LearnerKind::Fused || *shards == 1, shards, "1 with ppo.learner: candle")
+    Ok(())
 }
 
-pub fn known_to_learner(precision: &Precision, config: &Config) -> garde::Result {
+pub fn supported_precision(precision: &Precision, config: &Config) -> garde::Result {
     let valid = config.ppo.learner == LearnerKind::Fused || matches!(precision, Precision::Auto | Precision::F32);
     require(valid, yaml::to_text(precision).trim_end(), "auto or f32 with ppo.learner: candle")
 }

@@ -27,7 +27,8 @@ latency and the policy's rate stay.
 
 use std::path::Path;
 
-use super::{Config, LegPose, Simulation, robot_in};
+use super::merge::robot_in;
+use super::{Config, PerJoint, Simulation};
 use crate::robot::{JOINTS, Joints, Robot, joint_name, least_inertia};
 use crate::util::files::FileError;
 use crate::util::numbers::maximum;
@@ -60,7 +61,7 @@ impl Config {
             return Err(fail(format!(
                 "its feet are not below its trunk in its nominal pose {}: write nominal_pose_rad into a YAML file, as \
                  examples/robots/quadruped.yaml does",
-                LegPose::from(pose)
+                PerJoint::from(pose)
             )));
         }
         let mut config = self.clone();
@@ -168,7 +169,7 @@ fn rounded(value: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::Gain;
+    use crate::config::PerJoint;
     use crate::robot::{Robot, same_in_every_leg};
 
     #[test]
@@ -182,13 +183,13 @@ mod tests {
         let config = own.fitted_to(&robot).unwrap();
         assert!(
             config.robot.model.ends_with("/heavy")
-                && config.action.nominal_pose_rad == LegPose::Alike([0.0, 1.0, -2.0])
+                && config.action.nominal_pose_rad == PerJoint::Alike([0.0, 1.0, -2.0])
         );
         assert_eq!((config.reward.base_height_m, config.reward.foot_height_m), (0.228, 0.0588));
         assert_eq!(config.episode.min_height_m, 0.147);
         // 40 · 7.352, 7.352 · √0.7352
         let gains = (config.simulation.kp_n_m_per_rad, config.simulation.kd_n_m_s_per_rad);
-        assert_eq!(gains, (Gain::Same(294.0), Gain::Same(6.3)));
+        assert_eq!(gains, (PerJoint::Same(294.0), PerJoint::Same(6.3)));
         // 0.015 / 10, 0.0015 / 7.352², 10 / 0.7352², 0.1 / 0.7352²
         assert_eq!((config.reward.energy, config.reward.torque), (-0.0015, -2.78e-5));
         assert_eq!((config.reward.height_sharpness, config.reward.foot_clearance), (18.5, -0.185));

@@ -3,26 +3,30 @@
 Start with [`Config::load`] and `configs/compliant.yaml`, then read the sections ([`Config`] and its fields). Every
 number of the paper's section III, Table II and Table III is a key without a default in code, except Adam's two decay rates.
 Keys beyond the paper have defaults that change nothing, so that policies and checkpoints, which contain their configuration,
-remain readable. A file may name another one as its `base` and state only the differences: the baseline differs in one key from
-the compliant policy.
+remain readable; keys that stand at their default are not saved, so that programs that do not know them can read the rest.
+A file may name another one as its `base` and state only the differences: the baseline differs in one key from the compliant
+policy.
 */
 
 mod check;
 mod fit;
+mod merge;
 mod sections;
 mod terrain;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 pub use check::ValueError;
 pub use sections::{
-    Action, CommandRange, Config, Episode, Gain, HeldFeet, LearnerKind, LegPose, Ppo, Precision, Pulls, Randomisation,
+    Action, CommandRange, Config, Episode, HeldFeet, LearnerKind, PerJoint, Ppo, Precision, Pulls, Randomisation,
     Reward, RobotModel, Run, Simulation, Terrain,
 };
 pub(crate) use terrain::{SPACING_M, TILE_M};
 
 use crate::robot::Robot;
+use crate::util::files;
 use crate::util::yaml::{self, Text, Value, YamlError};
+use merge::Merged;
 
 /// Name and text of the configurations inside the program.
 pub const EMBEDDED: &[(&str, &str)] = &[
@@ -39,9 +43,6 @@ pub const EMBEDDED: &[(&str, &str)] = &[
 /// Range of `ln σ`, far beyond the values of training: below it, log-densities lose their precision, above it, actions
 /// are pure noise.
 pub const LOG_STD_RANGE: [f32; 2] = [-7.0, 2.0];
-
-/// Maximum depth of nested `base` keys.
-const MAX_BASES: usize = 8;
 
 /// The reason why a configuration was refused.
 #[derive(Debug, thiserror::Error)]
@@ -109,9 +110,17 @@ impl Config {
     /// The file is missing or invalid, a key is unknown or missing, or a value is out of range; the error names file
     /// and key.
     pub fn load_with(name_or_path: &str, changes: &[String]) -> Result<Self, ConfigError> {
-        let mut texts = Vec::new();
-        let value = merged(name_or_path, Path::new(""), MAX_BASES, &mut texts)?;
-        Self::changed(name_or_path, value, texts, changes)
+        Ok(Self::load_with_notes(name_or_path, changes)?.0)
+    }
+
+    /// Loads a configuration like [`Config::load_with`], and returns notes about what its author may not have meant.
+    ///
+    /// # Errors
+    /// Those of [`Config::load_with`].
+    pub fn load_with_notes(name_or_path: &str, changes: &[String]) -> Result<(Self, Vec<String>), ConfigError> {
+        let mut merged = Merged::load(name_or_path)?;
+        changes.iter().try_for_each(|change| merged.change(change))?;
+        Ok((Self::from_value(name_or_path, merged.value, &merged.texts)?, merged.notes))
     }
 
     /// Returns this configuration with other values for some keys, each given as `ppo.epochs=4`.
@@ -119,19 +128,10 @@ impl Config {
     /// # Errors
     /// A change is not of this form, its key is unknown, or its value is out of range.
     pub fn with(&self, changes: &[String]) -> Result<Self, ConfigError> {
-        let text = Text::new("fitted to the robot", &self.to_yaml());
-        Self::changed("fitted to the robot", text.parse()?, vec![text], changes)
-    }
-
-    fn changed(name: &str, mut value: Value, mut texts: Vec<Text>, changes: &[String]) -> Result<Self, ConfigError> {
-        for change in changes {
-            let text = changing(change)?;
-            let mut change = text.parse()?;
-            resolve_robot(&mut change, Path::new(""));
-            yaml::overlay(&mut value, change);
-            texts.insert(0, text);
-        }
-        Self::from_value(name, value, &texts)
+        let name = "fitted to the robot";
+        let mut merged = Merged::new(Text::new(name, &self.to_yaml()))?;
+        changes.iter().try_for_each(|change| merged.change(change))?;
+        Self::from_value(name, merged.value, &merged.texts)
     }
 
     /// Parses a complete YAML text without a `base`, as stored with a run.
@@ -140,7 +140,14 @@ impl Config {
     /// The text is not YAML, a key is unknown or missing, or a value is out of range.
     pub fn from_yaml(name: &str, text: &str) -> Result<Self, ConfigError> {
         let text = Text::new(name, text);
-        Self::from_value(name, text.parse()?, &[text])
+        Self::from_value(name, text.parse()?, &[text]).map_err(|mut error| {
+            if let ConfigError::Parse(YamlError { message, .. }) = &mut error
+                && let Some(explained) = files::of_another_version(message)
+            {
+                *message = explained;
+            }
+            error
+        })
     }
 
     fn from_value(name: &str, value: Value, texts: &[Text]) -> Result<Self, ConfigError> {
@@ -175,73 +182,14 @@ impl Config {
 
     /// Formats the complete configuration as YAML.
     pub fn to_yaml(&self) -> String {
-        yaml::to_text(self)
+        yaml::to_text(&yaml::without_defaults(self))
     }
-}
-
-/// Reads a configuration and merges it into its base. Relative paths start at `folder`; the texts read are added to
-/// `texts`.
-fn merged(name_or_path: &str, folder: &Path, bases_left: usize, texts: &mut Vec<Text>) -> Result<Value, ConfigError> {
-    let embedded = EMBEDDED.iter().find(|(name, _)| *name == name_or_path);
-    let path = folder.join(PathBuf::from(name_or_path));
-    let text = match embedded {
-        Some((name, text)) => Text::new(name, text),
-        None => Text::read(&path).map_err(|source| {
-            let path = path.clone();
-            if source.kind() != std::io::ErrorKind::NotFound {
-                return ConfigError::Read { path, source };
-            }
-            let known: Vec<&str> = EMBEDDED.iter().map(|(name, _)| *name).collect();
-            ConfigError::Unknown { path, known: known.join(", ") }
-        })?,
-    };
-    let mut value = text.parse()?;
-    texts.push(text);
-    if embedded.is_none() {
-        resolve_robot(&mut value, &path);
-    }
-    let base = value.as_mapping_mut().and_then(|mapping| mapping.remove("base"));
-    let Some(base) = base else { return Ok(value) };
-    let problem = |message: &str| YamlError::new(name_or_path, message);
-    let base = base.as_str().ok_or_else(|| problem("`base` must be a config's name or path"))?;
-    if bases_left == 0 {
-        return Err(problem("`base` is nested too deep: does a config name itself?").into());
-    }
-    let mut whole = merged(base, path.parent().unwrap_or(folder), bases_left - 1, texts)?;
-    yaml::overlay(&mut whole, value);
-    Ok(whole)
-}
-
-/// Turns a change such as `ppo.epochs=4` into the YAML text that states it.
-fn changing(change: &str) -> Result<Text, YamlError> {
-    let name = format!("--set {change}");
-    let Some((key, value)) = change.split_once('=').filter(|(key, _)| !key.is_empty()) else {
-        return Err(YamlError::new(&name, "expected KEY=VALUE, as in ppo.epochs=4"));
-    };
-    let depth = key.split('.').count();
-    let opened: String = key.split('.').map(|part| format!("{{{part}: ")).collect();
-    Ok(Text::of_flag(&name, &format!("{opened}{value}{}", "}".repeat(depth))))
-}
-
-/// Makes the path of a robot's file relative to the folder of the configuration that names it.
-fn resolve_robot(value: &mut Value, file: &Path) {
-    let model = value.get_mut("robot").and_then(|robot| robot.get_mut("model"));
-    if let Some(Value::String(model)) = model {
-        *model = robot_in(file.parent().unwrap_or(Path::new("")), model);
-    }
-}
-
-/// Returns the name of a shipped robot, or the absolute path of a robot's file, which is relative to `folder`.
-fn robot_in(folder: &Path, model: &str) -> String {
-    if Robot::ships(model) {
-        return model.to_owned();
-    }
-    let path = folder.join(PathBuf::from(model));
-    std::path::absolute(&path).unwrap_or(path).display().to_string()
 }
 
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
+
     use super::*;
 
     fn changed(from: &str, to: &str) -> Result<Config, ConfigError> {
@@ -256,14 +204,6 @@ mod tests {
             let config = Config::load(name).unwrap();
             assert_eq!(Config::from_yaml(name, &config.to_yaml()).unwrap(), config);
         }
-    }
-
-    #[test]
-    fn baseline_is_one_key_apart_from_compliant() {
-        let mut config = Config::load("baseline").unwrap();
-        assert!(!config.episode.recovery_stage);
-        config.episode.recovery_stage = true;
-        assert_eq!(config, Config::load("compliant").unwrap());
     }
 
     #[test]
@@ -350,10 +290,14 @@ mod tests {
                 "ppo.hidden_layers=[4096, 4096]",
                 "ppo.hidden_layers is [4096, 4096], a policy of 65.5 MiB, expected at most 56 MiB",
             ),
-            ("observation=[{quantity: friction}]", "entry 1 (Friction): only the simulator knows it"),
+            ("observation=[{quantity: friction}]", "entry 1 (friction): only the simulator knows it"),
             (
                 "critic_observation=[{quantity: friction, scale: 0}]",
-                "critic_observation: observation, entry 1 (Friction)",
+                "critic_observation: observation, entry 1 (friction)",
+            ),
+            (
+                "ppo={learner: candle, shards: 4}",
+                "ppo.shards is 4, which ppo.learner: candle does not know: leave the key out, or set ppo.learner: fused",
             ),
             ("ppo.epoch=4", "unknown field `epoch`"),
             ("epochs=4", "unknown field `epochs`"),
@@ -367,11 +311,30 @@ mod tests {
     }
 
     #[test]
-    fn a_config_that_is_its_own_base_is_refused() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("loop.yaml");
-        std::fs::write(&path, "base: loop.yaml\n").unwrap();
-        let error = Config::load(path.to_str().unwrap()).unwrap_err().to_string();
-        assert!(error.contains("nested too deep"), "{error}");
+    fn no_optional_key_is_written_at_its_default() {
+        let changes = [
+            "ppo.shards=2",
+            "robot={friction_loss_n_m: 0.1, damping_n_m_s_per_rad: 0.1}",
+            "run.keep_policy_every=1",
+            "observation.append=[{quantity: clock_sin, frequency_hz: 2.0, phases: [0.5], steps_ago: 1, clip: 1.0}]",
+            "terrain={environments: 0.5, levels: 6, rough_m: [0.01, 0.06], boxes_m: [0.02, 0.08], sharpness_factor: 0.5}",
+        ];
+        let all = yaml::without_defaults(&Config::load_with("real", &changes.map(str::to_owned)).unwrap());
+        let mut optional = 0;
+        for without in (0..).map_while(|key| yaml::without_entry(&all, key)) {
+            // It is required if it is missed.
+            let Ok(config) = yaml::typed::<Config>(without.clone(), &[]) else { continue };
+            assert_eq!(Text::new("written", &config.to_yaml()).parse().unwrap(), without);
+            optional += 1;
+        }
+        assert!(optional >= 53, "only {optional} keys are optional");
+    }
+
+    #[test]
+    fn key_of_another_version_is_explained_in_saved_files() {
+        let text = Config::load("fast").unwrap().to_yaml().replace("  flight:", "  warmth: 1.0\n  flight:");
+        let error = Config::from_yaml("runs/a/config.yaml", &text).unwrap_err().to_string();
+        assert!(error.starts_with("config runs/a/config.yaml, line ") && error.ends_with(
+            "reward.warmth: unknown field `warmth`: another version of Supple wrote this file; use that version, or remove the key"), "{error}");
     }
 }

@@ -9,11 +9,11 @@ use serde::{Deserialize, Serialize};
 use super::LOG_STD_RANGE;
 use super::check::{
     MAX_BATCH_SIZE, MAX_EPOCHS, MAX_STAGE_S, a_step_to_an_hour, at_least_one, between_learning_rates, cost, delays,
-    divides_batch, divides_batch_above_one, finite_angles, fraction, gains_not_negative, known_to_learner,
-    layer_widths, low_and_high, not_negative, physics_rate, positive, power_of_two_that_divides, rising_to_one,
-    shortest_and_longest, within,
+    divides_batch, divides_batch_above_one, finite_angles, fraction, gains_not_negative, layer_widths, low_and_high,
+    not_negative, physics_rate, positive, power_of_two_that_divides, rising_to_one, shortest_and_longest,
+    supported_precision, within,
 };
-use crate::observation::{Layout, LayoutError, Nominal, Observed};
+use crate::observation::{Layout, LayoutError, NominalValues, Observed};
 use crate::robot::{JOINTS, Joints, Losses, Robot, same_in_every_leg};
 use crate::util::files::FileError;
 use crate::util::numbers::maximum;
@@ -48,7 +48,7 @@ pub struct Config {
     pub observation: Vec<Observed>,
     /// The entries that the critic observes in addition to the policy's observation, from the true state; they may be
     /// quantities that only the simulator knows. None if the list is missing.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[serde(default)]
     #[garde(skip)]
     pub critic_observation: Vec<Observed>,
     /// Range of velocity commands, and its curriculum.
@@ -58,15 +58,12 @@ pub struct Config {
     #[garde(dive)]
     pub episode: Episode,
     /// Sustained pulls on the trunk; none if the section is missing.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     #[garde(dive)]
     pub pulls: Option<Pulls>,
     /// Feet that are held in their swing; none if the section is missing.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     #[garde(dive)]
     pub held_feet: Option<HeldFeet>,
     /// Uneven ground with a curriculum; a plane if the section is missing.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     #[garde(dive)]
     pub terrain: Option<Terrain>,
     /// Weights and targets of the reward (Table II).
@@ -130,10 +127,10 @@ pub struct Simulation {
     pub policy_rate_hz: u32,
     /// Proportional gain `K_p` of the PD controller [N·m/rad].
     #[garde(custom(gains_not_negative))]
-    pub kp_n_m_per_rad: Gain,
+    pub kp_n_m_per_rad: PerJoint,
     /// `K_d` [N·m·s/rad].
     #[garde(custom(gains_not_negative))]
-    pub kd_n_m_s_per_rad: Gain,
+    pub kd_n_m_s_per_rad: PerJoint,
     /// Delay of the joint target \[s\].
     #[garde(custom(within(0.0..=1.0, " s")))]
     pub latency_s: f64,
@@ -161,11 +158,11 @@ impl Simulation {
     }
 }
 
-/// A gain of the joint controller: one for all joints, one for each joint of a leg, or one for each joint.
+/// Numbers of the joints: one for all, one for each joint of a leg, or one for each joint.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(untagged, expecting = "a number, three (hip, thigh, calf), or twelve")]
-pub enum Gain {
-    /// The gain of every joint.
+pub enum PerJoint {
+    /// The number of every joint.
     Same(f64),
     /// Those of hip, thigh and calf of every leg.
     Alike([f64; 3]),
@@ -173,54 +170,51 @@ pub enum Gain {
     Each(Joints),
 }
 
-impl Gain {
-    /// Returns the gain of each joint.
+impl PerJoint {
+    /// Returns the number of each joint.
     pub fn joints(&self) -> Joints {
         match *self {
-            Gain::Same(gain) => [gain; JOINTS],
-            Gain::Alike(leg) => same_in_every_leg(leg),
-            Gain::Each(joints) => joints,
+            PerJoint::Same(number) => [number; JOINTS],
+            PerJoint::Alike(leg) => same_in_every_leg(leg),
+            PerJoint::Each(joints) => joints,
         }
     }
 
-    /// Returns the gain with every number replaced.
+    /// Returns these numbers, each replaced.
     pub fn map(self, f: impl Fn(f64) -> f64) -> Self {
         match self {
-            Gain::Same(gain) => Gain::Same(f(gain)),
-            Gain::Alike(leg) => Gain::Alike(leg.map(f)),
-            Gain::Each(joints) => Gain::Each(joints.map(f)),
+            PerJoint::Same(number) => PerJoint::Same(f(number)),
+            PerJoint::Alike(leg) => PerJoint::Alike(leg.map(f)),
+            PerJoint::Each(joints) => PerJoint::Each(joints.map(f)),
         }
     }
 
-    /// Returns the largest gain of a joint.
+    /// Returns the largest of the numbers, or 0 if that is larger.
     pub fn largest(&self) -> f64 {
         self.joints().into_iter().fold(0.0, maximum)
     }
 }
 
-impl fmt::Display for Gain {
+impl fmt::Display for PerJoint {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Gain::Same(gain) => write!(f, "{gain}"),
-            Gain::Alike(leg) => write!(f, "{leg:?}"),
-            Gain::Each(joints) => write!(f, "{joints:?}"),
+            PerJoint::Same(number) => write!(f, "{number}"),
+            PerJoint::Alike(leg) => write!(f, "{leg:?}"),
+            PerJoint::Each(joints) => write!(f, "{joints:?}"),
         }
     }
 }
 
-impl From<f64> for Gain {
-    fn from(gain: f64) -> Self {
-        Gain::Same(gain)
+impl From<f64> for PerJoint {
+    fn from(number: f64) -> Self {
+        PerJoint::Same(number)
     }
 }
 
-impl From<Joints> for Gain {
+impl From<Joints> for PerJoint {
     fn from(joints: Joints) -> Self {
-        match LegPose::from(joints) {
-            _ if joints == [joints[0]; JOINTS] => Gain::Same(joints[0]),
-            LegPose::Alike(leg) => Gain::Alike(leg),
-            LegPose::Each(joints) => Gain::Each(joints),
-        }
+        let leg = [joints[0], joints[1], joints[2]];
+        if same_in_every_leg(leg) == joints { PerJoint::Alike(leg) } else { PerJoint::Each(joints) }
     }
 }
 
@@ -232,46 +226,10 @@ pub struct Action {
     /// Joint targets at action zero \[rad\]: hip, thigh and calf of every leg, or twelve angles in the order of
     /// [`crate::robot::LEGS`].
     #[garde(custom(finite_angles))]
-    pub nominal_pose_rad: LegPose,
+    pub nominal_pose_rad: PerJoint,
     /// \[rad\] per unit of action.
     #[garde(custom(positive))]
     pub scale_rad: f64,
-}
-
-/// Joint angles of one leg, used for every leg, or those of all four.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(untagged, expecting = "three angles, or twelve")]
-pub enum LegPose {
-    /// Hip, thigh and calf of every leg \[rad\].
-    Alike([f64; 3]),
-    /// Twelve angles, leg by leg \[rad\].
-    Each(Joints),
-}
-
-impl LegPose {
-    /// Returns the angle of each joint \[rad\].
-    pub fn joints(&self) -> Joints {
-        match *self {
-            LegPose::Alike(leg) => same_in_every_leg(leg),
-            LegPose::Each(joints) => joints,
-        }
-    }
-}
-
-impl fmt::Display for LegPose {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            LegPose::Alike(leg) => write!(f, "{leg:?}"),
-            LegPose::Each(joints) => write!(f, "{joints:?}"),
-        }
-    }
-}
-
-impl From<Joints> for LegPose {
-    fn from(joints: Joints) -> Self {
-        let leg = [joints[0], joints[1], joints[2]];
-        if same_in_every_leg(leg) == joints { LegPose::Alike(leg) } else { LegPose::Each(joints) }
-    }
 }
 
 /// Range of velocity commands, which are drawn uniformly from ± range · fraction, base frame.
@@ -356,7 +314,7 @@ pub struct Pulls {
     /// Upper ends of ranges of the force, as fractions of `force_n`, rising up to 1: each episode draws one of the ranges
     /// with equal probability, and the forces of its pulls from it. `[0, 0.2, 0.5, 1]` leaves a quarter of the episodes
     /// without pulls. One range without it.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[serde(default)]
     #[garde(custom(rising_to_one))]
     pub buckets: Vec<f64>,
 }
@@ -474,49 +432,44 @@ pub struct Randomisation {
     #[garde(custom(positive))]
     pub default_friction: f64,
     /// Largest mass that is added to the trunk or taken from it \[kg\]; 0 if missing, as all of the following.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default)]
     #[garde(custom(not_negative))]
     pub trunk_mass_kg: f64,
     /// Largest displacement of the trunk's centre of mass along each axis \[m\].
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default)]
     #[garde(custom(within(0.0..=1.0, " m")))]
     pub trunk_offset_m: f64,
     /// Largest relative error of `K_p` and of `K_d`; 0.1 is ± 10 %.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default)]
     #[garde(custom(fraction))]
     pub gain_error: f64,
     /// The shortest and the longest delay of the joint target \[s\], in place of `simulation.latency_s`.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     #[garde(inner(custom(delays)))]
     pub latency_s: Option<[f64; 2]>,
     /// Largest dry friction of the joints, in addition to the robot's [N·m].
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default)]
     #[garde(custom(not_negative))]
     pub joint_friction_n_m: f64,
     /// Largest viscous damping of the joints, in addition to the robot's [N·m·s/rad].
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default)]
     #[garde(custom(not_negative))]
     pub joint_damping_n_m_s_per_rad: f64,
     /// Standard deviation of the observed angular velocity about each axis in a policy step [rad/s].
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default)]
     #[garde(custom(not_negative))]
     pub gyro_noise_sd_rad_s: f64,
     /// Standard deviation of the constant error of the angular velocity about each axis [rad/s].
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default)]
     #[garde(custom(not_negative))]
     pub gyro_bias_sd_rad_s: f64,
     /// Standard deviation of the constant error of roll and pitch in the observed gravity \[rad\].
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default)]
     #[garde(custom(not_negative))]
     pub tilt_error_sd_rad: f64,
     /// Standard deviation of the constant error of the observed felt force, forward and left \[N\].
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default)]
     #[garde(custom(not_negative))]
     pub felt_force_error_sd_n: f64,
-}
-
-fn is_zero(value: &f64) -> bool {
-    *value == 0.0
 }
 
 /// Settings of PPO: Table III, and those of Stable-Baselines3 where the paper is silent.
@@ -544,7 +497,7 @@ pub struct Ppo {
     pub learner: LearnerKind,
     /// The precision of the learner's arithmetic.
     #[serde(default)]
-    #[garde(custom(known_to_learner))]
+    #[garde(custom(supported_precision))]
     pub precision: Precision,
     /// True trains on half of the samples with left and right exchanged.
     #[garde(skip)]
@@ -556,7 +509,6 @@ pub struct Ppo {
     #[garde(custom(not_negative))]
     pub entropy_coefficient: f64,
     /// Weight of the entropy bonus at the last sample of the run, which changes linearly until then; `None`: constant.
-    #[serde(default)]
     #[garde(inner(custom(not_negative)))]
     pub final_entropy_coefficient: Option<f64>,
     /// Discount factor γ.
@@ -651,18 +603,11 @@ pub struct Run {
     pub checkpoint_every: u64,
     /// Number of samples between policies kept as `policy-SAMPLES.safetensors` in addition to the newest; none are kept
     /// without it.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     #[garde(inner(custom(at_least_one)))]
     pub keep_policy_every: Option<u64>,
 }
 
 impl Config {
-    /// Returns the largest velocity that an outer loop may command, forward and left, unless the command itself is
-    /// larger [m/s].
-    pub fn outer_loop_limits_m_s(&self) -> [f64; 2] {
-        [self.command.forward_m_s, self.command.left_m_s]
-    }
-
     /// Builds the layout of the observation.
     ///
     /// # Errors
@@ -681,8 +626,8 @@ impl Config {
     }
 
     /// Returns the nominal values that offsets and scales refer to by name.
-    pub fn nominal(&self) -> Nominal {
-        Nominal {
+    pub fn nominal(&self) -> NominalValues {
+        NominalValues {
             pose: self.action.nominal_pose_rad.joints(),
             height_m: self.reward.base_height_m,
             action_scale_rad: [self.action.scale_rad; JOINTS],

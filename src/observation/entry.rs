@@ -22,28 +22,20 @@ pub struct Observed {
     pub quantity: Quantity,
     /// Elements of a vector, in order: forward, left, up, or backward, right, down; yaw of a command [forward, left,
     /// up].
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub elements: Option<Vec<String>>,
     /// Age in policy steps, or several ages in order \[0\].
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub steps_ago: Option<Ages>,
+    pub steps_ago: Option<StepsAgo>,
     /// Offset, subtracted first \[0\].
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub offset: Option<Numbers>,
     /// Scale, applied after the offset; not zero \[1\].
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub scale: Option<Numbers>,
     /// Limit of the scaled value, ± `clip`; unlimited if missing.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub clip: Option<f64>,
     /// Frequency of the clocks \[Hz\].
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub frequency_hz: Option<f64>,
     /// Phases of the clocks, as fractions of a period \[0\].
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub phases: Option<Vec<f64>>,
     /// Values of the quantity [`Quantity::Constant`].
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub values: Option<Vec<f64>>,
 }
 
@@ -72,14 +64,14 @@ pub enum Numbers {
     All(f64),
     /// One number for each element, in the order of the observation.
     Each(Vec<f64>),
-    /// The name of a number.
-    Word(Word),
+    /// A name that stands for numbers.
+    Named(NamedNumbers),
 }
 
-/// A name that stands for a number.
+/// A name that stands for numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Word {
+pub enum NamedNumbers {
     /// The offset that equals the value in the nominal pose, for base height, joint angles and joint targets.
     Nominal,
     /// The scale of joint values that is the inverse scale of the action, which turns joint targets back into network
@@ -90,7 +82,7 @@ pub enum Word {
 /// One age or several ages \[policy steps\].
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(untagged, expecting = "expected a number of steps or a list of them")]
-pub enum Ages {
+pub enum StepsAgo {
     /// One age.
     One(u32),
     /// Several ages, in order.
@@ -99,7 +91,7 @@ pub enum Ages {
 
 /// Values behind the named offsets and scales.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Nominal {
+pub struct NominalValues {
     /// Joint angles of the nominal pose \[rad\].
     pub pose: Joints,
     /// Base height in the nominal pose \[m\].
@@ -110,7 +102,7 @@ pub struct Nominal {
 
 /// A checked entry of the observation: one quantity at one age or several.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Block {
+pub struct ObservationBlock {
     /// The observed quantity.
     pub quantity: Quantity,
     /// Axis (forward, left, up or yaw) and sign of each element of a vector.
@@ -126,7 +118,7 @@ pub struct Block {
     pub(super) start: usize,
 }
 
-impl Block {
+impl ObservationBlock {
     /// Returns the number of values, over all ages.
     pub fn length(&self) -> usize {
         self.width * self.steps_ago.len()
@@ -134,18 +126,18 @@ impl Block {
 
     /// Returns the unit of the values; three units for a command.
     pub fn unit(&self) -> &'static str {
-        self.quantity.about().2
+        self.quantity.about().unit
     }
 
     /// Returns the names of the elements, such as left, up, forward; empty if the quantity is no vector.
     pub fn elements(&self) -> Vec<&'static str> {
-        let command = self.quantity.about().0 == Kind::Command;
+        let command = self.quantity.about().kind == Kind::Command;
         self.axes.iter().map(|(axis, sign)| part(*axis, *sign, command)).collect()
     }
 }
 
-pub(super) fn block(entry: &Observed) -> Result<Block> {
-    let (kind, ..) = entry.quantity.about();
+pub(super) fn block(entry: &Observed) -> Result<ObservationBlock> {
+    let kind = entry.quantity.about().kind;
     let is_vector = matches!(kind, Kind::Polar | Kind::Axial | Kind::Command | Kind::FootVectors);
     let third = if kind == Kind::Command { "yaw" } else { "up" };
     let axes = match &entry.elements {
@@ -179,32 +171,37 @@ pub(super) fn block(entry: &Observed) -> Result<Block> {
     }
     let steps_ago = match &entry.steps_ago {
         None => vec![0],
-        Some(Ages::One(age)) => vec![*age],
-        Some(Ages::Several(ages)) => ages.clone(),
+        Some(StepsAgo::One(age)) => vec![*age],
+        Some(StepsAgo::Several(ages)) => ages.clone(),
     };
     ages("steps_ago", &steps_ago)?;
-    Ok(Block { quantity: entry.quantity, axes, steps_ago, frequency_hz, values, width, start: 0 })
+    Ok(ObservationBlock { quantity: entry.quantity, axes, steps_ago, frequency_hz, values, width, start: 0 })
 }
 
-pub(super) fn offset(entry: &Observed, block: &Block, order: &[usize; JOINTS], nominal: &Nominal) -> Result<Vec<f64>> {
+pub(super) fn offset(
+    entry: &Observed,
+    block: &ObservationBlock,
+    order: &[usize; JOINTS],
+    nominal: &NominalValues,
+) -> Result<Vec<f64>> {
     match (&entry.offset, entry.quantity) {
-        (Some(Numbers::Word(Word::Nominal)), Quantity::BaseHeight) => Ok(vec![nominal.height_m]),
-        (Some(Numbers::Word(Word::Nominal)), Quantity::JointAngles | Quantity::LastTarget) => {
+        (Some(Numbers::Named(NamedNumbers::Nominal)), Quantity::BaseHeight) => Ok(vec![nominal.height_m]),
+        (Some(Numbers::Named(NamedNumbers::Nominal)), Quantity::JointAngles | Quantity::LastTarget) => {
             Ok(order.iter().map(|joint| nominal.pose[*joint]).collect())
         }
-        (Some(Numbers::Word(_)), _) => Err(LayoutError::Form(
+        (Some(Numbers::Named(_)), _) => Err(LayoutError::Form(
             "its `offset` must be a number: only base_height, joint_angles and last_target have a `nominal` one".into(),
         )),
         (found, _) => numbers("offset", found.as_ref(), block.width, 0.0),
     }
 }
 
-pub(super) fn scale(entry: &Observed, block: &Block, nominal: &Nominal) -> Result<Vec<f64>> {
+pub(super) fn scale(entry: &Observed, block: &ObservationBlock, nominal: &NominalValues) -> Result<Vec<f64>> {
     let scale = match &entry.scale {
-        Some(Numbers::Word(Word::Action)) if entry.quantity.about().0 == Kind::Joints => {
+        Some(Numbers::Named(NamedNumbers::Action)) if entry.quantity.about().kind == Kind::Joints => {
             nominal.action_scale_rad.map(f64::recip).to_vec()
         }
-        Some(Numbers::Word(_)) => {
+        Some(Numbers::Named(_)) => {
             return Err(LayoutError::Form("its `scale` must be a number, or `action` if it is of joints".into()));
         }
         found => numbers("scale", found.as_ref(), block.width, 1.0)?,
@@ -248,7 +245,7 @@ pub(crate) fn numbers(key: &'static str, found: Option<&Numbers>, width: usize, 
         None => vec![default; width],
         Some(Numbers::All(number)) => vec![*number; width],
         Some(Numbers::Each(numbers)) => numbers.clone(),
-        Some(Numbers::Word(_)) => {
+        Some(Numbers::Named(_)) => {
             return Err(LayoutError::Form(format!("`{key}` must be a number, or a list of {width}")));
         }
     };

@@ -7,7 +7,7 @@ use super::entry::MAX_LENGTH;
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum LayoutError {
     /// An entry of the list is invalid.
-    #[error("observation, entry {number} ({quantity:?}): {problem}")]
+    #[error("observation, entry {number} ({quantity}): {problem}")]
     Entry {
         /// Number of the entry, from 1.
         number: usize,
@@ -57,7 +57,7 @@ pub enum LayoutError {
     #[error("only the simulator knows it, so no policy can observe it: move it to critic_observation")]
     Privileged,
     /// A quantity has no mirror image.
-    #[error("{0:?} has no mirror image")]
+    #[error("{0} has no mirror image")]
     NoImage(Quantity),
     /// A number, which is named, is normalised otherwise than its mirror image.
     #[error("'{0}' and its mirror image have offsets and scales that are no images of one another")]

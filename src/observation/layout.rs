@@ -1,8 +1,8 @@
 //! The layout of an observation: a checked list of quantities, and the origin of each number.
 
-use super::entry::{Block, MAX_LENGTH, Nominal, Observed, ages, block, limit, offset, scale};
-use super::observer::Moment;
-use super::quantity::Kind;
+use super::entry::{MAX_LENGTH, NominalValues, ObservationBlock, Observed, ages, block, limit, offset, scale};
+use super::observer::ObservationInput;
+use super::quantity::{About, Kind};
 use super::{LayoutError, Quantity};
 use crate::robot::{JOINTS, LEGS, Robot, joint_name};
 use crate::util::numbers::finite_in_single;
@@ -19,7 +19,7 @@ pub(super) struct Source {
 /// The layout of an observation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Layout {
-    blocks: Vec<Block>,
+    blocks: Vec<ObservationBlock>,
     /// Index in Supple's order of each of the policy's joints.
     order: [usize; JOINTS],
     /// Ages of the repetitions of the whole observation, in order \[policy steps\].
@@ -37,7 +37,7 @@ impl Layout {
     ///
     /// # Errors
     /// An entry is invalid, or the observation is empty or too long.
-    pub fn new(entries: &[Observed], nominal: &Nominal) -> Result<Self, LayoutError> {
+    pub fn new(entries: &[Observed], nominal: &NominalValues) -> Result<Self, LayoutError> {
         Self::repeated(entries, &[0], None, std::array::from_fn(|joint| joint), nominal)
     }
 
@@ -45,7 +45,7 @@ impl Layout {
     ///
     /// # Errors
     /// An entry is invalid, or there are none or too many numbers.
-    pub fn for_critic(entries: &[Observed], nominal: &Nominal) -> Result<Self, LayoutError> {
+    pub fn for_critic(entries: &[Observed], nominal: &NominalValues) -> Result<Self, LayoutError> {
         Self::checked(entries, &[0], None, std::array::from_fn(|joint| joint), nominal, true)
     }
 
@@ -59,7 +59,7 @@ impl Layout {
         history: &[u32],
         clip: Option<f64>,
         order: [usize; JOINTS],
-        nominal: &Nominal,
+        nominal: &NominalValues,
     ) -> Result<Self, LayoutError> {
         Self::checked(entries, history, clip, order, nominal, false)
     }
@@ -69,13 +69,13 @@ impl Layout {
         history: &[u32],
         clip: Option<f64>,
         order: [usize; JOINTS],
-        nominal: &Nominal,
+        nominal: &NominalValues,
         privileged: bool,
     ) -> Result<Self, LayoutError> {
         ages("history", history)?;
         let clip = limit("observation_clip", clip)?;
         let (mut blocks, mut offsets, mut scales, mut clips) =
-            (Vec::<Block>::new(), Vec::new(), Vec::new(), Vec::new());
+            (Vec::<ObservationBlock>::new(), Vec::new(), Vec::new(), Vec::new());
         let mut width = 0;
         for (index, entry) in entries.iter().enumerate() {
             let (number, quantity) = (index + 1, entry.quantity);
@@ -91,7 +91,7 @@ impl Layout {
             clips.push(limit("clip", entry.clip).map_err(fail)?.min(clip));
             blocks.push(block);
         }
-        let length = history.len() * blocks.iter().map(Block::length).sum::<usize>();
+        let length = history.len() * blocks.iter().map(ObservationBlock::length).sum::<usize>();
         if length > MAX_LENGTH || length == 0 {
             return Err(LayoutError::Length(length));
         }
@@ -128,7 +128,7 @@ impl Layout {
     }
 
     /// Returns the blocks in order; all of them are repeated for each age in [`Layout::history`].
-    pub fn blocks(&self) -> &[Block] {
+    pub fn blocks(&self) -> &[ObservationBlock] {
         &self.blocks
     }
 
@@ -202,7 +202,7 @@ impl Layout {
         let mut names = Vec::with_capacity(self.length());
         for frame in &self.history {
             for block in &self.blocks {
-                let (kind, what, unit) = block.quantity.about();
+                let About { kind, name: what, unit, .. } = block.quantity.about();
                 let units: Vec<&str> = unit.split(", ").collect();
                 for steps in &block.steps_ago {
                     // What was last is of one step ago by itself.
@@ -260,9 +260,9 @@ impl Layout {
     }
 
     /// Returns the mirror image of element `k` of a block: index within the block, and sign.
-    fn image(&self, block: &Block, k: usize, robot: &Robot) -> Result<(usize, f64), LayoutError> {
+    fn image(&self, block: &ObservationBlock, k: usize, robot: &Robot) -> Result<(usize, f64), LayoutError> {
         let sign = |signs: [f64; 3]| Ok((k, signs[block.axes[k].0]));
-        match block.quantity.about().0 {
+        match block.quantity.about().kind {
             Kind::Scalar => Ok((k, 1.0)),
             Kind::Polar => sign([1.0, -1.0, 1.0]),
             Kind::Axial => sign([-1.0, 1.0, -1.0]),
@@ -283,7 +283,7 @@ impl Layout {
     }
 
     /// Measures all blocks into a frame.
-    pub(super) fn measure(&self, now: &Moment<'_>, frame: &mut [f64]) {
+    pub(super) fn measure(&self, now: &ObservationInput<'_>, frame: &mut [f64]) {
         for block in &self.blocks {
             let (clock, out) = ((block.frequency_hz, &block.values[..]), &mut frame[block.start..][..block.width]);
             block.quantity.measure(&block.axes, clock, &self.order, now, out);
@@ -311,7 +311,7 @@ mod tests {
 
     use super::*;
     use crate::config::Config;
-    use crate::observation::{Command, Numbers, Observer, Privileged, Word};
+    use crate::observation::{Command, NamedNumbers, Numbers, Observer, Privileged};
     use crate::robot::{RobotState, same_in_every_leg};
 
     fn state() -> RobotState {
@@ -329,24 +329,30 @@ mod tests {
 
     fn paper() -> Layout {
         let nominal =
-            Nominal { pose: same_in_every_leg([0.0, 0.72, -1.44]), height_m: 0.31, action_scale_rad: [0.3; 12] };
+            NominalValues { pose: same_in_every_leg([0.0, 0.72, -1.44]), height_m: 0.31, action_scale_rad: [0.3; 12] };
         Layout::new(&Config::load("compliant").unwrap().observation, &nominal).unwrap()
+    }
+
+    const ZERO: &[f64; 12] = &[0.0; 12];
+    const NOMINAL: NominalValues = NominalValues { pose: *ZERO, height_m: 0.3, action_scale_rad: [0.3; 12] };
+
+    /// Returns the input of a state and a command without a past.
+    fn input<'a>(state: &'a RobotState, command: &'a Command) -> ObservationInput<'a> {
+        let privileged = Privileged::default();
+        ObservationInput {
+            state,
+            command,
+            last_action: ZERO,
+            last_target: ZERO,
+            nominal: ZERO,
+            time_s: 0.0,
+            privileged,
+        }
     }
 
     fn observe(observer: &mut Observer, layout: &Layout, state: &RobotState, target: f64) -> Vec<f64> {
         let command = Command::velocity(0.5, 0.25, -0.125);
-        let (last_action, last_target, nominal) = ([0.0; 12], [target; 12], [0.0; 12]);
-        let (last_action, last_target, nominal) = (&last_action, &last_target, &nominal);
-        let now = Moment {
-            state,
-            command: &command,
-            last_action,
-            last_target,
-            nominal,
-            time_s: 0.0,
-            privileged: Privileged::default(),
-        };
-        observer.measure(layout, &now);
+        observer.measure(layout, &ObservationInput { last_target: &[target; 12], ..input(state, &command) });
         observer.raw(layout)
     }
 
@@ -381,17 +387,10 @@ mod tests {
         (rest.velocity_in_base, rest.angular_velocity_in_base) = (Vector3::zeros(), Vector3::zeros());
         rest.gravity_in_base = Vector3::new(0.0, 0.0, -9.81);
         let (layout, mut observer) = (paper(), Observer::new());
-        let (command, zero) = (Command::default(), [0.0; 12]);
-        let now = Moment {
-            state: &rest,
-            command: &command,
-            last_action: &zero,
-            last_target: &pose,
-            nominal: &pose,
-            time_s: 0.0,
-            privileged: Privileged::default(),
-        };
-        observer.measure(&layout, &now);
+        observer.measure(
+            &layout,
+            &ObservationInput { last_target: &pose, nominal: &pose, ..input(&rest, &Command::default()) },
+        );
         let mut seen = vec![0.0; layout.length()];
         observer.normalised(&layout, &mut seen);
         for (index, value) in seen.iter().enumerate() {
@@ -414,13 +413,12 @@ mod tests {
 
     #[test]
     fn only_a_critic_observes_privileged_quantities() {
-        let nominal = Nominal { pose: [0.0; 12], height_m: 0.3, action_scale_rad: [0.3; 12] };
         let elements = Some(vec!["up".to_owned(), "left".to_owned()]);
         let forces = Observed { elements, ..Observed::now(Quantity::FootForces) };
         let entries = [Observed::now(Quantity::BaseHeight), forces, Observed::now(Quantity::FootHeights)];
-        let error = Layout::new(&entries, &nominal).unwrap_err().to_string();
-        assert!(error.starts_with("observation, entry 2 (FootForces): only the simulator knows it"), "{error}");
-        let layout = Layout::for_critic(&entries, &nominal).unwrap();
+        let error = Layout::new(&entries, &NOMINAL).unwrap_err().to_string();
+        assert!(error.starts_with("observation, entry 2 (foot_forces): only the simulator knows it"), "{error}");
+        let layout = Layout::for_critic(&entries, &NOMINAL).unwrap();
         assert_eq!(layout.length(), 1 + 4 * 2 + 4);
         let names = layout.names();
         assert_eq!(names[3..6], ["FL foot's force up [N]", "FL foot's force left [N]", "RR foot's force up [N]"]);
@@ -428,18 +426,9 @@ mod tests {
         let mut state = state();
         (0..4).for_each(|leg| state.feet[leg].height = 0.01 * leg as f64);
         let foot_forces = std::array::from_fn(|leg| Vector3::new(1.0, 2.0, 3.0) * (leg + 1) as f64);
-        let (command, zero) = (Command::default(), [0.0; 12]);
-        let now = Moment {
-            state: &state,
-            command: &command,
-            last_action: &zero,
-            last_target: &zero,
-            nominal: &zero,
-            time_s: 0.0,
-            privileged: Privileged { foot_forces, ..Privileged::default() },
-        };
+        let privileged = Privileged { foot_forces, ..Privileged::default() };
         let mut observer = Observer::new();
-        observer.measure(&layout, &now);
+        observer.measure(&layout, &ObservationInput { privileged, ..input(&state, &Command::default()) });
         let expected = [0.25, 3.0, 2.0, 6.0, 4.0, 9.0, 6.0, 12.0, 8.0, 0.0, 0.01, 0.02, 0.03];
         assert_eq!(observer.raw(&layout), expected);
     }
@@ -447,9 +436,8 @@ mod tests {
     #[test]
     fn privileged_quantities_have_mirror_images_of_their_kind() {
         let robot = Robot::load("go1").unwrap();
-        let nominal = Nominal { pose: [0.0; 12], height_m: 0.3, action_scale_rad: [0.3; 12] };
         let mirrored =
-            |quantity| Layout::for_critic(&[Observed::now(quantity)], &nominal).unwrap().mirrored(&robot).unwrap();
+            |quantity| Layout::for_critic(&[Observed::now(quantity)], &NOMINAL).unwrap().mirrored(&robot).unwrap();
         // The legs are FR, FL, RR, RL.
         assert_eq!(mirrored(Quantity::FootHeights), [(1, 1.0), (0, 1.0), (3, 1.0), (2, 1.0)]);
         let forces = mirrored(Quantity::FootForces);
@@ -458,7 +446,7 @@ mod tests {
         for quantity in [Quantity::Friction, Quantity::TrunkMass, Quantity::Latency] {
             assert_eq!(mirrored(quantity), [(0, 1.0)]);
         }
-        for quantity in [Quantity::Pull, Quantity::Push, Quantity::TrunkOffset] {
+        for quantity in [Quantity::TrunkForce, Quantity::Push, Quantity::TrunkOffset] {
             assert_eq!(mirrored(quantity), [(0, 1.0), (1, -1.0), (2, 1.0)]);
         }
         // Hips turn around, thighs and calves do not.
@@ -468,8 +456,7 @@ mod tests {
     #[test]
     fn asymmetric_layouts_have_no_mirror_image() {
         let robot = Robot::load("go1").unwrap();
-        let nominal = Nominal { pose: [0.0; 12], height_m: 0.3, action_scale_rad: [0.3; 12] };
-        let mirrored = |entry: Observed| Layout::new(&[entry], &nominal).unwrap().mirrored(&robot);
+        let mirrored = |entry: Observed| Layout::new(&[entry], &NOMINAL).unwrap().mirrored(&robot);
         let clock = Observed { frequency_hz: Some(2.0), ..Observed::now(Quantity::ClockSin) };
         assert_eq!(mirrored(clock), Err(LayoutError::NoImage(Quantity::ClockSin)));
         let offset = Some(Numbers::Each(vec![0.0, 0.1, 0.0]));
@@ -477,17 +464,18 @@ mod tests {
         let velocity = mirrored(Observed::now(Quantity::BaseVelocity)).unwrap();
         assert_eq!(velocity, [(0, 1.0), (1, -1.0), (2, 1.0)]);
     }
+
     #[test]
     fn a_scale_of_zero_is_refused_and_that_of_the_action_is_each_joints_own() {
         let action_scale_rad = std::array::from_fn(|joint| if joint == 0 { 0.5 } else { 0.25 });
-        let nominal = Nominal { pose: [0.0; 12], height_m: 0.3, action_scale_rad };
+        let nominal = NominalValues { action_scale_rad, ..NOMINAL };
         let layout =
             |quantity, scale| Layout::new(&[Observed { scale: Some(scale), ..Observed::now(quantity) }], &nominal);
         let error = layout(Quantity::BaseHeight, Numbers::All(0.0)).unwrap_err().to_string();
-        assert!(error.contains("BaseHeight") && error.contains("`scale` is [0.0], expected no zero"), "{error}");
-        let targets = layout(Quantity::LastTarget, Numbers::Word(Word::Action)).unwrap();
+        assert!(error.contains("base_height") && error.contains("`scale` is [0.0], expected no zero"), "{error}");
+        let targets = layout(Quantity::LastTarget, Numbers::Named(NamedNumbers::Action)).unwrap();
         assert_eq!(targets.scale()[..3], [2.0, 4.0, 4.0]);
-        let error = layout(Quantity::BaseHeight, Numbers::Word(Word::Action)).unwrap_err().to_string();
+        let error = layout(Quantity::BaseHeight, Numbers::Named(NamedNumbers::Action)).unwrap_err().to_string();
         assert!(error.contains("if it is of joints"), "{error}");
     }
 }

@@ -7,8 +7,7 @@ quantity, now or some steps ago. The paper's 83 numbers are such a list, in `con
 another framework brings its own. A critic may observe more than the policy, also what only the simulator knows
 ([`Privileged`]).
 
-To add a quantity, add a variant to [`Quantity`], and describe and measure it in `quantity.rs`; other files need changes
-only if its numbers are of a new kind.
+To add a quantity, describe and measure it in `quantity.rs`; other files need changes only if its numbers are of a new kind.
 */
 
 mod entry;
@@ -17,11 +16,11 @@ mod layout;
 mod observer;
 mod quantity;
 
-pub use entry::{Ages, Block, Nominal, Numbers, Observed, Word};
+pub use entry::{NamedNumbers, NominalValues, Numbers, ObservationBlock, Observed, StepsAgo};
 pub(crate) use entry::{limit, numbers};
 pub use error::LayoutError;
 pub use layout::Layout;
-pub use observer::{Moment, Observer};
+pub use observer::{ObservationInput, Observer};
 pub use quantity::{Privileged, Quantity};
 
 use serde::{Deserialize, Serialize};

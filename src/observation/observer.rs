@@ -7,7 +7,7 @@ use crate::robot::{Joints, RobotState};
 
 /// All that can be observed before a policy step.
 #[derive(Debug, Clone, Copy)]
-pub struct Moment<'a> {
+pub struct ObservationInput<'a> {
     /// State of the robot, true or estimated.
     pub state: &'a RobotState,
     /// Command to the policy, base frame.
@@ -38,7 +38,7 @@ impl Observer {
     }
 
     /// Measures the present frame.
-    pub fn measure(&mut self, layout: &Layout, now: &Moment<'_>) {
+    pub fn measure(&mut self, layout: &Layout, now: &ObservationInput<'_>) {
         let begun = !self.frames.is_empty();
         self.frames.resize_with(layout.depth(), || vec![0.0; layout.frame_width()]);
         self.frames.rotate_right(1);

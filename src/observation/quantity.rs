@@ -5,66 +5,100 @@ Vectors are in the base frame, (forward, left, up). The layout selects their ele
 */
 
 use std::f64::consts::TAU;
+use std::fmt;
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use super::observer::Moment;
+use super::observer::ObservationInput;
 use crate::robot::{JOINTS, Joints};
+use crate::util::yaml;
 
-/// A physical quantity that can be observed; vectors are in the base frame.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Quantity {
-    /// Height of the base above the ground \[m\]; `y` of the paper.
-    BaseHeight,
-    /// Gravity [m/s²]; `g` of the paper.
-    Gravity,
+/// Defines [`Quantity`]: what each is, its kind, the name and the unit of its numbers (three units if they differ), and who
+/// observes it.
+macro_rules! quantities {
+    ($(
+        $(#[doc = $what:literal])+ $(#[serde(rename = $key:literal)])?
+        $quantity:ident: $kind:ident, $name:literal, $unit:literal, $seen_by:ident;
+    )+) => {
+        /// A physical quantity that can be observed; vectors are in the base frame. docs/quantities.md has a table of them.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+        #[serde(rename_all = "snake_case")]
+        pub enum Quantity {
+            $($(#[doc = $what])+ #[doc = concat!("\n\nUnit: ", $unit, ".")] $(#[serde(rename = $key)])? $quantity,)+
+        }
+
+        impl Quantity {
+            /// All quantities.
+            pub const ALL: &[Quantity] = &[$(Quantity::$quantity),+];
+
+            /// Returns the description of the quantity.
+            pub(super) fn about(self) -> About {
+                match self {
+                    $(Quantity::$quantity => About {
+                        kind: Kind::$kind,
+                        name: $name,
+                        unit: $unit,
+                        seen_by: SeenBy::$seen_by,
+                        what: concat!($($what),+),
+                    },)+
+                }
+            }
+        }
+    };
+}
+
+quantities! {
+    /// Height of the base above the ground; `y` of the paper.
+    BaseHeight: Scalar, "base height", "m", Policy;
+    /// Gravity; `g` of the paper.
+    Gravity: Polar, "gravity", "m/s^2", Policy;
     /// Direction of gravity, a unit vector.
-    ProjectedGravity,
-    /// Joint angles \[rad\]; `q` of the paper.
-    JointAngles,
-    /// Joint angles minus the nominal pose \[rad\].
-    JointOffsets,
-    /// Joint rates [rad/s]; `q̇` of the paper.
-    JointRates,
-    /// Velocity of the base [m/s]; `v` of the paper.
-    BaseVelocity,
-    /// Angular velocity of the base [rad/s]; `ω` of the paper.
-    AngularVelocity,
+    ProjectedGravity: Polar, "direction of gravity", "1", Policy;
+    /// Joint angles; `q` of the paper.
+    JointAngles: Joints, "angle", "rad", Policy;
+    /// Joint angles minus the nominal pose.
+    JointOffsets: Joints, "angle from nominal", "rad", Policy;
+    /// Joint rates; `q̇` of the paper.
+    JointRates: Joints, "rate", "rad/s", Policy;
+    /// Velocity of the base; `v` of the paper.
+    BaseVelocity: Polar, "velocity", "m/s", Policy;
+    /// Angular velocity of the base; `ω` of the paper.
+    AngularVelocity: Axial, "angular velocity", "rad/s", Policy;
     /// The network's last outputs, clipped, not scaled; zero at first.
-    LastAction,
-    /// Force on the trunk from outside that the robot feels in its joints, forward and left in the heading frame, mean over the last
-    /// policy step, between ± 100 \[N\]; zero where it is not felt.
-    FeltForce,
-    /// The last joint targets \[rad\]; the nominal pose at first. `a_{t−1}` of the paper.
-    LastTarget,
-    /// Commanded velocity: forward [m/s], left [m/s], yaw rate [rad/s].
-    Command,
+    LastAction: Joints, "output", "1", Policy;
+    /// Force on the trunk from outside that the robot feels in its joints, forward and left, mean over the last policy step,
+    /// between ± 100 N; zero where it is not felt.
+    FeltForce: Polar, "felt force", "N", Policy;
+    /// The last joint targets; the nominal pose at first. `a_{t−1}` of the paper.
+    LastTarget: Joints, "target", "rad", Policy;
+    /// Commanded velocity: forward, left, yaw rate.
+    Command: Command, "commanded", "m/s, m/s, rad/s", Policy;
     /// Clock sin 2π(f·t + phase), for each of `phases`.
-    ClockSin,
+    ClockSin: Clock, "sine of a clock", "1", Policy;
     /// Clock cos 2π(f·t + phase), for each of `phases`.
-    ClockCos,
+    ClockCos: Clock, "cosine of a clock", "1", Policy;
     /// The constants `values`.
-    Constant,
-    /// Privileged: contact force on each foot, and the force that holds it, mean over the last policy step \[N\].
-    FootForces,
-    /// Privileged: height of each foot's lowest point above the ground under it \[m\].
-    FootHeights,
-    /// Privileged: sliding friction of the ground.
-    Friction,
-    /// Privileged: encoder bias of each joint \[rad\].
-    EncoderBias,
-    /// Privileged: pull on the trunk in the coming policy step \[N\].
-    Pull,
-    /// Privileged: push at the start of the coming policy step, a change of the trunk's velocity [m/s].
-    Push,
-    /// Privileged: mass that the trunk has beyond the robot's description \[kg\].
-    TrunkMass,
-    /// Privileged: displacement of the trunk's centre of mass from the robot's description \[m\].
-    TrunkOffset,
-    /// Privileged: delay of the joint target \[s\].
-    Latency,
+    Constant: Constant, "constant", "1", Policy;
+    /// Contact force on each foot, and the force that holds it, mean over the last policy step.
+    FootForces: FootVectors, "force", "N", Critic;
+    /// Height of each foot's lowest point above the ground under it.
+    FootHeights: Feet, "height", "m", Critic;
+    /// Sliding friction of the ground.
+    Friction: Scalar, "friction", "1", Critic;
+    /// Encoder bias of each joint: measured minus true angle.
+    EncoderBias: Joints, "encoder bias", "rad", Critic;
+    /// Force on the trunk in the coming policy step: `pull` in files, `Quantity::TrunkForce` in the library.
+    #[serde(rename = "pull")]
+    TrunkForce: Polar, "pull", "N", Critic;
+    /// Push at the start of the coming policy step, a change of the trunk's velocity.
+    Push: Polar, "push", "m/s", Critic;
+    /// Mass that the trunk has beyond the robot's description.
+    TrunkMass: Scalar, "additional trunk mass", "kg", Critic;
+    /// Displacement of the trunk's centre of mass from the robot's description.
+    TrunkOffset: Polar, "offset of the trunk's centre of mass", "m", Critic;
+    /// Delay of the joint target.
+    Latency: Scalar, "latency", "s", Critic;
 }
 
 /// Largest felt force that a policy observes on each axis \[N\]: a push within one step would be several hundred.
@@ -114,44 +148,37 @@ pub(super) enum Kind {
     FootVectors,
 }
 
-impl Quantity {
-    /// Returns kind, name and unit (three units if the elements differ).
-    pub(super) fn about(self) -> (Kind, &'static str, &'static str) {
-        match self {
-            Quantity::BaseHeight => (Kind::Scalar, "base height", "m"),
-            Quantity::Gravity => (Kind::Polar, "gravity", "m/s^2"),
-            Quantity::ProjectedGravity => (Kind::Polar, "direction of gravity", "1"),
-            Quantity::JointAngles => (Kind::Joints, "angle", "rad"),
-            Quantity::JointOffsets => (Kind::Joints, "angle from nominal", "rad"),
-            Quantity::JointRates => (Kind::Joints, "rate", "rad/s"),
-            Quantity::BaseVelocity => (Kind::Polar, "velocity", "m/s"),
-            Quantity::AngularVelocity => (Kind::Axial, "angular velocity", "rad/s"),
-            Quantity::FeltForce => (Kind::Polar, "felt force", "N"),
-            Quantity::LastAction => (Kind::Joints, "output", "1"),
-            Quantity::LastTarget => (Kind::Joints, "target", "rad"),
-            Quantity::Command => (Kind::Command, "commanded", "m/s, m/s, rad/s"),
-            Quantity::ClockSin => (Kind::Clock, "sine of a clock", "1"),
-            Quantity::ClockCos => (Kind::Clock, "cosine of a clock", "1"),
-            Quantity::Constant => (Kind::Constant, "constant", "1"),
-            Quantity::FootForces => (Kind::FootVectors, "force", "N"),
-            Quantity::FootHeights => (Kind::Feet, "height", "m"),
-            Quantity::Friction => (Kind::Scalar, "friction", "1"),
-            Quantity::EncoderBias => (Kind::Joints, "encoder bias", "rad"),
-            Quantity::Pull => (Kind::Polar, "pull", "N"),
-            Quantity::Push => (Kind::Polar, "push", "m/s"),
-            Quantity::TrunkMass => (Kind::Scalar, "additional trunk mass", "kg"),
-            Quantity::TrunkOffset => (Kind::Polar, "offset of the trunk's centre of mass", "m"),
-            Quantity::Latency => (Kind::Scalar, "latency", "s"),
-        }
-    }
+/// Description of a quantity.
+pub(super) struct About {
+    pub(super) kind: Kind,
+    /// Name of its numbers.
+    pub(super) name: &'static str,
+    /// Unit of its numbers; three units if they differ.
+    pub(super) unit: &'static str,
+    seen_by: SeenBy,
+    #[cfg_attr(not(test), expect(dead_code, reason = "the table of docs/quantities.md"))]
+    what: &'static str,
+}
 
+/// The networks that can observe a quantity.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum SeenBy {
+    /// Policy and critic.
+    Policy,
+    /// The critic alone, since only the simulator knows the quantity.
+    Critic,
+}
+
+impl fmt::Display for Quantity {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(yaml::to_text(self).trim_end())
+    }
+}
+
+impl Quantity {
     /// Returns true if only the simulator knows the quantity, so that policies cannot observe it.
     pub fn is_privileged(self) -> bool {
-        use Quantity::{EncoderBias, FootForces, FootHeights, Friction, Latency, Pull, Push, TrunkMass, TrunkOffset};
-        matches!(
-            self,
-            FootForces | FootHeights | Friction | EncoderBias | Pull | Push | TrunkMass | TrunkOffset | Latency
-        )
+        self.about().seen_by == SeenBy::Critic
     }
 
     /// Measures this quantity into `out`, a slice of its width. `axes` selects the elements and signs of a vector;
@@ -161,7 +188,7 @@ impl Quantity {
         axes: &[(usize, f64)],
         (frequency_hz, values): (f64, &[f64]),
         order: &[usize; JOINTS],
-        now: &Moment<'_>,
+        now: &ObservationInput<'_>,
         out: &mut [f64],
     ) {
         let (state, known) = (now.state, now.privileged);
@@ -203,7 +230,7 @@ impl Quantity {
             Quantity::FootHeights => out.copy_from_slice(&state.feet.map(|foot| foot.height)),
             Quantity::Friction => out[0] = known.friction,
             Quantity::EncoderBias => reorder(&known.encoder_bias, order, out),
-            Quantity::Pull => vector(known.pull.into()),
+            Quantity::TrunkForce => vector(known.pull.into()),
             Quantity::Push => vector(known.push.into()),
             Quantity::TrunkMass => out[0] = known.trunk_mass_kg,
             Quantity::TrunkOffset => vector(known.trunk_offset_m.into()),
@@ -215,4 +242,40 @@ impl Quantity {
 /// Reorders joint values from Supple's order to the policy's.
 fn reorder(joints: &Joints, order: &[usize; JOINTS], out: &mut [f64]) {
     out.iter_mut().zip(order).for_each(|(out, joint)| *out = joints[*joint]);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Returns the table of docs/quantities.md.
+    fn table() -> String {
+        let row = |quantity: &Quantity| {
+            let About { kind, unit, seen_by, what, .. } = quantity.about();
+            let numbers = match kind {
+                Kind::Scalar => "1",
+                Kind::Polar | Kind::Axial | Kind::Command => "3",
+                Kind::Joints | Kind::FootVectors => "12",
+                Kind::Feet => "4",
+                Kind::Clock => "as many as `phases`",
+                Kind::Constant => "as many as `values`",
+            };
+            let frame = match kind {
+                _ if *quantity == Quantity::FeltForce => "heading",
+                Kind::Polar | Kind::Axial | Kind::Command | Kind::FootVectors => "base",
+                _ => "",
+            };
+            let seen_by = if seen_by == SeenBy::Policy { "policy, critic" } else { "critic" };
+            format!("| `{quantity}` | {numbers} | {unit} | {frame} | {seen_by} |{what} |\n")
+        };
+        let head = "| quantity | numbers | unit | frame | observed by | what it is |\n|---|---|---|---|---|---|\n";
+        [head.to_owned()].into_iter().chain(Quantity::ALL.iter().map(row)).collect()
+    }
+
+    #[test]
+    fn page_of_quantities_has_table_of_source() {
+        let table = table();
+        let page = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/docs/quantities.md")).unwrap();
+        assert!(page.contains(&table), "docs/quantities.md needs this table:\n{table}");
+    }
 }

@@ -186,7 +186,7 @@ impl PolicyCalibration {
             mass_kg: self.mass_kg,
             own_m_s_per_n: self.own_m_s_per_n,
             tracking: self.tracking,
-            limits_m_s: config.outer_loop_limits_m_s(),
+            limits_m_s: [config.command.forward_m_s, config.command.left_m_s],
             period_s: config.simulation.policy_period_s(),
         }
     }

@@ -11,7 +11,7 @@ use rand::RngExt;
 use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 
-use super::inference::{Inference, InferenceBuffers, JointPositionAction, Meaning, Network};
+use super::inference::{Inference, InferenceBuffers, Network};
 use super::pytorch;
 use crate::config::{Config, Simulation, ValueError};
 use crate::network::{ActorCritic, Mlp, NetworkError, PackedMlp};
@@ -21,6 +21,7 @@ use crate::util::files::{self, FileError};
 use crate::util::numbers;
 use crate::util::random::{Purpose, stream};
 use crate::util::tensors::{self, StoredTensor, TensorError};
+use crate::util::yaml;
 
 /// Version of the file format that is written.
 pub const FORMAT: u32 = 1;
@@ -56,6 +57,7 @@ pub struct Provenance {
     /// Name of the configuration.
     pub config_name: String,
     /// The whole configuration.
+    #[serde(serialize_with = "yaml::serialize_without_defaults")]
     pub config: Config,
     /// Seed of the run.
     pub seed: u64,
@@ -135,6 +137,7 @@ struct PolicyMetadata {
     joints: Vec<String>,
     nominal_pose_rad: Joints,
     scale_rad: f64,
+    #[serde(serialize_with = "yaml::serialize_without_defaults")]
     simulation: Simulation,
     provenance: Provenance,
     usage: Usage,
@@ -177,7 +180,8 @@ impl Policy {
         let config = &provenance.config;
         let usage = Usage::new(&layout, robot);
         let nominal_pose = config.action.nominal_pose_rad.joints();
-        let inference = inference(&network.policy, layout, nominal_pose, config.action.scale_rad, &config.simulation);
+        let mlp = Network::Mlp(PackedMlp::new(&network.policy));
+        let inference = Inference::new(layout, nominal_pose, config.action.scale_rad, mlp, &config.simulation);
         let mut policy = Policy { actor: network.policy.clone(), usage, inference, provenance, sha256: String::new() };
         // What was built from whole tensors can be serialised.
         policy.sha256 = files::sha256(&[&policy.to_bytes().unwrap_or_default()]);
@@ -290,7 +294,8 @@ impl Policy {
         let network = tensors::read_group(&tensors, "policy.")?;
         let actor = Mlp::from_tensors(network, length, JOINTS)?;
         let PolicyMetadata { nominal_pose_rad, scale_rad, provenance, usage, .. } = metadata;
-        let inference = inference(&actor, layout, nominal_pose_rad, scale_rad, &provenance.config.simulation);
+        let mlp = Network::Mlp(PackedMlp::new(&actor));
+        let inference = Inference::new(layout, nominal_pose_rad, scale_rad, mlp, &provenance.config.simulation);
         let policy = Policy { actor, inference, provenance, usage, sha256: files::sha256(&[bytes]) };
         let observations = read("golden.observation", &[GOLDEN, length])?;
         let expected = read("golden.joint_target", &[GOLDEN, JOINTS])?;
@@ -323,20 +328,6 @@ impl Policy {
             .collect();
         let targets = self.targets_of(&observations);
         (observations, targets)
-    }
-}
-
-fn inference(actor: &Mlp, layout: Layout, nominal_pose: Joints, scale_rad: f64, simulation: &Simulation) -> Inference {
-    Inference {
-        layout,
-        action: JointPositionAction {
-            nominal_pose,
-            meaning: Meaning::OffsetFromNominal,
-            scale_rad: [scale_rad; JOINTS],
-            clip: f64::INFINITY,
-        },
-        network: Network::Mlp(PackedMlp::new(actor)),
-        period_s: simulation.policy_period_s(),
     }
 }
 
@@ -400,11 +391,8 @@ impl PolicyMetadata {
 fn block_infos(layout: &Layout) -> Vec<BlockInfo> {
     let mut infos = Vec::new();
     for block in layout.blocks() {
-        // As YAML and JSON spell it.
-        let quantity = serde_json::to_value(block.quantity).unwrap_or_default();
-        let quantity = quantity.as_str().unwrap_or_default();
         infos.extend(block.steps_ago.iter().map(|age| BlockInfo {
-            quantity: quantity.to_owned(),
+            quantity: block.quantity.to_string(),
             age: *age,
             length: block.length() / block.steps_ago.len(),
             unit: block.unit().to_owned(),
@@ -466,6 +454,18 @@ pub(super) mod tests {
         newer[at + 11] = b'9';
         let error = Policy::from_bytes(&newer, Path::new("newer")).unwrap_err().to_string();
         assert!(error.contains("its format is 9, this program reads 1"), "{error}");
+    }
+
+    #[test]
+    fn key_of_another_version_is_explained_and_unwritten_at_its_default() {
+        assert!(!policy().metadata_json().contains("friction_loss_n_m"));
+        let mut newer = policy().to_bytes().unwrap();
+        let at = newer.windows(6).position(|window| window == b"flight").unwrap();
+        newer[at..at + 6].copy_from_slice(b"warmth");
+        let error = Policy::from_bytes(&newer, Path::new("newer")).unwrap_err().to_string();
+        let expected =
+            "provenance.config.reward.warmth: unknown field `warmth`: another version of Supple wrote this file";
+        assert!(error.contains(expected), "{error}");
     }
 
     #[test]

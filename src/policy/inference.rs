@@ -5,9 +5,9 @@ use std::fmt;
 
 use super::controller::Controller;
 use super::onnx;
-use crate::config::Config;
+use crate::config::{Config, Simulation};
 use crate::network::{PackedMlp, Scratch};
-use crate::observation::{Command, Layout, LayoutError, Moment, Observer, Privileged, Quantity};
+use crate::observation::{Command, Layout, LayoutError, ObservationInput, Observer, Privileged, Quantity};
 use crate::robot::{JOINTS, Joints, RobotState, joint_target};
 
 /// The meaning of a network's output.
@@ -100,18 +100,21 @@ impl Inference {
     /// # Errors
     /// The observation of the configuration does not fit its robot.
     pub fn in_environment(config: &Config, network: Network) -> Result<Self, LayoutError> {
-        let action = &config.action;
-        Ok(Inference {
-            layout: config.layout()?,
-            action: JointPositionAction {
-                nominal_pose: action.nominal_pose_rad.joints(),
-                meaning: Meaning::OffsetFromNominal,
-                scale_rad: [action.scale_rad; JOINTS],
-                clip: f64::INFINITY,
-            },
-            network,
-            period_s: config.simulation.policy_period_s(),
-        })
+        let (layout, nominal_pose) = (config.layout()?, config.action.nominal_pose_rad.joints());
+        Ok(Self::new(layout, nominal_pose, config.action.scale_rad, network, &config.simulation))
+    }
+
+    /// Creates the inference of a network whose outputs are offsets from the nominal pose, over a scale \[rad\].
+    pub(super) fn new(
+        layout: Layout,
+        nominal_pose: Joints,
+        scale_rad: f64,
+        network: Network,
+        simulation: &Simulation,
+    ) -> Self {
+        let (meaning, scale_rad) = (Meaning::OffsetFromNominal, [scale_rad; JOINTS]);
+        let action = JointPositionAction { nominal_pose, meaning, scale_rad, clip: f64::INFINITY };
+        Inference { layout, action, network, period_s: simulation.policy_period_s() }
     }
 
     /// Returns the clipped outputs, shape (rows, joints), in the policy's order, for normalised observations, shape
@@ -204,7 +207,7 @@ impl<I: Borrow<Inference> + Send> Controller for PolicyController<I> {
         let inference: &Inference = self.inference.borrow();
         let layout = &inference.layout;
         let ObservedPast { observer, step, last_action, last_target } = &mut self.past;
-        let now = Moment {
+        let now = ObservationInput {
             state,
             command,
             last_action,

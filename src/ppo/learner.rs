@@ -6,7 +6,7 @@ use std::sync::Arc;
 #[cfg(tiles)]
 use super::fused::Tiles;
 use super::fused::{Panels, tiles_available};
-use super::{Batch, CandleLearner, FusedLearner, UpdateFault, UpdateStatistics};
+use super::{Batch, CandleLearner, FusedLearner, UpdateFault, UpdateStatistics, candle, fused};
 use crate::config::{LearnerKind, Ppo, Precision};
 use crate::network::ActorCritic;
 use crate::ranks::Ranks;
@@ -76,6 +76,20 @@ pub fn learner(
         }
         (LearnerKind::Fused, Precision::Mixed) => return Err(PrecisionError),
     })
+}
+
+/// Optional keys of `ppo` that all learners know, or that the trainer uses for them.
+const OPTIONAL_KEYS: &[&str] = &["learner", "precision", "final_entropy_coefficient"];
+
+impl LearnerKind {
+    /// Returns true if the learner uses an optional key of `ppo`. A configuration that states another one is refused.
+    pub(crate) fn knows(self, key: &str) -> bool {
+        let own = match self {
+            LearnerKind::Fused => fused::OPTIONAL_KEYS,
+            LearnerKind::Candle => candle::OPTIONAL_KEYS,
+        };
+        OPTIONAL_KEYS.contains(&key) || own.contains(&key)
+    }
 }
 
 /// Resolves `ppo.precision` on this machine; never returns [`Precision::Auto`].

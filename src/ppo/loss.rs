@@ -168,6 +168,12 @@ impl<'a> Minibatch<'a> {
         &self.rows[shard * rows..][start..rows.min(start + size)]
     }
 
+    /// Returns the value of a sample's state in the rollout, `V_old`: its return minus its advantage. A mirror image has that of
+    /// its original.
+    pub fn old_value(&self, row: usize) -> f64 {
+        f64::from(self.batch.returns[row]) - f64::from(self.batch.advantages[row])
+    }
+
     /// Returns the normalised advantage of a sample.
     pub fn advantage(&self, row: usize) -> f64 {
         (f64::from(self.batch.advantages[row]) - self.advantage_mean) * self.advantage_scale

@@ -97,6 +97,7 @@ pub struct RunState {
     /// Name of the configuration.
     pub config_name: String,
     /// Configuration of the run.
+    #[serde(serialize_with = "crate::util::yaml::serialize_without_defaults")]
     pub config: Config,
     /// Git revision of the program that wrote the checkpoint.
     pub git_revision: String,
@@ -199,7 +200,7 @@ impl Checkpoint {
         if checksum(json, &learner) != metadata.sha256 {
             return Err(CheckpointError::Damaged);
         }
-        let run: RunState = serde_json::from_slice(json).map_err(CheckpointError::Run)?;
+        let run: RunState = tensors::from_json(json).map_err(CheckpointError::Run)?;
         run.config.check()?;
         let Curriculum { command_fraction, force_fraction, .. } = run.curriculum;
         for (name, found) in [("command_fraction", command_fraction), ("force_fraction", force_fraction)] {

@@ -137,7 +137,7 @@ mod tests {
     use super::*;
     use crate::config::Config;
     use crate::network::ActorCritic;
-    use crate::observation::{Command, Moment, Observed, Observer, Privileged, Quantity};
+    use crate::observation::{Command, ObservationInput, Observed, Observer, Privileged, Quantity};
     use crate::robot::{RobotState, same_in_every_leg};
     use crate::util::random::{Purpose, stream};
 
@@ -186,7 +186,7 @@ mod tests {
         let (mut observer, layout, zero) = (Observer::new(), layout(), [0.0; 12]);
         for age in [0.01, 0.0] {
             let (state, last_target) = (&state(age), &angles);
-            let now = Moment {
+            let now = ObservationInput {
                 state,
                 command: &command,
                 last_action: &zero,
@@ -211,7 +211,7 @@ mod tests {
 
     #[test]
     fn mirror_of_critic_continues_that_of_policy() {
-        let critic_observation = vec![Observed::now(Quantity::Pull), Observed::now(Quantity::FootHeights)];
+        let critic_observation = vec![Observed::now(Quantity::TrunkForce), Observed::now(Quantity::FootHeights)];
         let config = Config { critic_observation, ..Config::load("compliant").unwrap() };
         let (robot, pose) = (config.robot.load().unwrap(), config.action.nominal_pose_rad.joints());
         let critic = config.critic_layout().unwrap();

@@ -27,6 +27,12 @@ impl FileError {
     }
 }
 
+/// Explains why a file that Supple wrote cannot be read, if `reason` is that it has an unknown key or value.
+pub fn of_another_version(reason: &str) -> Option<String> {
+    let (unknown, _) = reason.split_once("`, ").filter(|(unknown, _)| unknown.contains("unknown "))?;
+    Some(format!("{unknown}`: another version of Supple wrote this file; use that version, or remove the key"))
+}
+
 /// Writes a file so that at any moment, even after a power failure, either the old or the new content is on disk: a
 /// temporary file next to it, synced, renamed over it, and the folder synced. See [`write_with`] for devices and pipes.
 ///

@@ -8,7 +8,9 @@ use std::collections::HashMap;
 use safetensors::SafeTensorError;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::Deserialize;
-use serde::de::DeserializeOwned;
+use serde::de::{DeserializeOwned, Error as _};
+
+use super::files;
 
 /// Metadata key of the JSON text.
 const KEY: &str = "supple";
@@ -123,7 +125,21 @@ pub fn metadata<T: DeserializeOwned>(json: &str, format: u32) -> Result<T, Tenso
     if found.format != format {
         return Err(TensorError::Format { found: found.format, expected: format });
     }
-    Ok(serde_json::from_str(json)?)
+    Ok(from_json(json.as_bytes())?)
+}
+
+/// Parses JSON that Supple wrote.
+///
+/// # Errors
+/// The bytes are not JSON, or do not fit the type; the error of an unknown key names it.
+pub fn from_json<T: DeserializeOwned>(json: &[u8]) -> serde_json::Result<T> {
+    let mut reader = serde_json::Deserializer::from_slice(json);
+    let read = serde_path_to_error::deserialize(&mut reader).map_err(|error| {
+        let problem = files::of_another_version(&error.to_string());
+        problem.map_or_else(|| error.into_inner(), serde_json::Error::custom)
+    })?;
+    reader.end()?;
+    Ok(read)
 }
 
 /// Reads a single-precision tensor of a known shape.

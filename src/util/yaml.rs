@@ -3,6 +3,7 @@
 use std::io;
 use std::path::Path;
 
+use serde::Serialize;
 use serde::de::DeserializeOwned;
 pub use serde_yaml::Value;
 
@@ -95,6 +96,12 @@ impl Text {
         }
     }
 
+    /// Creates the error of a dotted key of this text.
+    pub fn error(&self, key: &str, message: &str) -> YamlError {
+        let (name, line) = find(std::slice::from_ref(self), key);
+        YamlError { name, line, message: format!("{key}: {message}") }
+    }
+
     /// Returns the line of a key, if the text has it.
     fn line(&self, key: &[&str]) -> Option<usize> {
         let value = self.parse().ok()?;
@@ -150,7 +157,7 @@ pub fn place(texts: &[Text], key: &str) -> String {
 
 fn find(texts: &[Text], key: &str) -> (String, Option<usize>) {
     // Elements of lists have no lines of their own.
-    let parts: Vec<&str> = key.split('.').map(|part| part.split('[').next().unwrap_or(part)).collect();
+    let parts: Vec<&str> = key.split_once('[').map_or(key, |(list, _)| list).split('.').collect();
     let place = |text: &Text| text.line(&parts).map(|line| (text.name.clone(), text.has_lines.then_some(line)));
     let found = texts.iter().find_map(place);
     found.unwrap_or_else(|| (texts.first().map_or_else(String::new, |text| text.name.clone()), None))
@@ -174,9 +181,63 @@ pub fn layered<T: DeserializeOwned>(texts: &[Text]) -> Result<T, YamlError> {
 }
 
 /// Formats a value of numbers, texts and lists as YAML.
-pub fn to_text(value: &impl serde::Serialize) -> String {
+pub fn to_text(value: &impl Serialize) -> String {
     // Plain structs of numbers and strings: serialising them cannot fail.
     serde_yaml::to_string(value).unwrap_or_default()
+}
+
+/// Returns a struct of numbers, texts, lists and structs as keys and values, without the keys that are `None`.
+pub fn to_value(value: &impl Serialize) -> Value {
+    // Serialising it cannot fail.
+    filtered(&serde_yaml::to_value(value).unwrap_or_default(), &mut |value| !value.is_null())
+}
+
+/// Returns a struct as [`to_value`] does, but without the keys that stand at their default: those without which it reads back
+/// as the same. A program that does not know such a key can read the rest.
+pub fn without_defaults<T: Serialize + DeserializeOwned + PartialEq>(value: &T) -> Value {
+    let (mut keys, mut needed) = (to_value(value), 0);
+    while let Some(shorter) = without_entry(&keys, needed) {
+        if serde_yaml::from_value(shorter.clone()).is_ok_and(|read: T| read == *value) {
+            keys = shorter;
+        } else {
+            needed += 1;
+        }
+    }
+    keys
+}
+
+/// Returns a value without the entry of its mappings, at any depth, that comes after `before` others; `None` if there is none.
+pub(crate) fn without_entry(value: &Value, before: usize) -> Option<Value> {
+    let mut visited = 0;
+    let shorter = filtered(value, &mut |_| {
+        visited += 1;
+        visited != before + 1
+    });
+    (visited > before).then_some(shorter)
+}
+
+/// Serialises a struct without the keys that stand at their default, for `#[serde(serialize_with)]`.
+///
+/// # Errors
+/// Those of the serialiser.
+pub fn serialize_without_defaults<T, S>(value: &T, serializer: S) -> Result<S::Ok, S::Error>
+where
+    T: Serialize + DeserializeOwned + PartialEq,
+    S: serde::Serializer,
+{
+    without_defaults(value).serialize(serializer)
+}
+
+/// Copies a value with only those entries of its mappings, at any depth, whose values are to be kept.
+fn filtered(value: &Value, keep: &mut dyn FnMut(&Value) -> bool) -> Value {
+    match value {
+        Value::Mapping(entries) => {
+            let kept: Vec<_> = entries.iter().filter(|(_, value)| keep(value)).collect();
+            Value::Mapping(kept.into_iter().map(|(key, value)| (key.clone(), filtered(value, keep))).collect())
+        }
+        Value::Sequence(values) => Value::Sequence(values.iter().map(|value| filtered(value, keep)).collect()),
+        other => other.clone(),
+    }
 }
 
 /// Returns a flat mapping as names and values in text, for files that stand for command-line flags; `None` for null.
@@ -215,10 +276,9 @@ pub fn overlay(base: &mut Value, change: Value) {
 }
 
 /// Lists the dotted keys in which two values differ, with both values as YAML.
-pub fn differences(first: &impl serde::Serialize, second: &impl serde::Serialize) -> Vec<(String, [String; 2])> {
-    let value = |of: Result<Value, _>| of.unwrap_or_default();
+pub fn differences(first: &impl Serialize, second: &impl Serialize) -> Vec<(String, [String; 2])> {
     let mut found = Vec::new();
-    compare("", &value(serde_yaml::to_value(first)), &value(serde_yaml::to_value(second)), &mut found);
+    compare("", &to_value(first), &to_value(second), &mut found);
     found
 }
 

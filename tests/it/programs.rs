@@ -4,6 +4,7 @@ use std::path::Path;
 use std::process::Command;
 
 use serde_json::Value;
+use supple::config::{Config, LearnerKind};
 use supple::policy::{Agent, Policy, shipped};
 use supple::robot::Robot;
 use supple::train::checkpoint::Checkpoint;
@@ -95,8 +96,9 @@ fn both_learners_make_the_same_of_the_first_batch() {
         let (fused, candle) = (fused.as_f64().unwrap(), candle[key].as_f64().unwrap());
         assert!((fused - candle).abs() <= 1e-3 * fused.abs(), "{key}: {fused} and {candle}");
     }
-    let config = |learner: &str| std::fs::read_to_string(folder.path().join(learner).join("config.yaml")).unwrap();
-    assert!(config("candle").contains("learner: candle") && config("fused").contains("learner: fused"));
+    let config =
+        |learner: &str| Config::load(folder.path().join(learner).join("config.yaml").to_str().unwrap()).unwrap();
+    assert_eq!(["candle", "fused"].map(|name| config(name).ppo.learner), [LearnerKind::Candle, LearnerKind::Fused]);
 }
 
 #[test]

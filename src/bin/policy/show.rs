@@ -34,9 +34,7 @@ pub fn description(policy: &Policy) -> String {
     let mut start = 0;
     for block in policy.layout().blocks() {
         let elements = block.elements().join(", ");
-        // As YAML spells it.
-        let quantity = serde_json::to_value(block.quantity).unwrap_or_default();
-        let name = quantity.as_str().unwrap_or_default().replace('_', " ");
+        let name = block.quantity.to_string().replace('_', " ");
         let name = if elements.is_empty() { name } else { format!("{name}: {elements}") };
         let when: Vec<String> = block.steps_ago.iter().map(|steps| ago(*steps)).collect();
         let (length, unit, when) = (block.length(), block.unit(), when.join(", "));

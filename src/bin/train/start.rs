@@ -102,7 +102,10 @@ pub fn configured(args: &Args, speaks: bool) -> anyhow::Result<(String, Config)>
     let name = args.config.as_deref().unwrap_or("fast");
     // Of a robot's own, --set speaks once everything is fitted to it.
     let set = if args.robot.is_some() { &[] } else { &args.set[..] };
-    let mut config = Config::load_with(name, set)?;
+    let (mut config, notes) = Config::load_with_notes(name, set)?;
+    if speaks {
+        notes.iter().for_each(|note| terminal::note(format_args!("note: {note}")));
+    }
     let stem = |name: &str| {
         PathBuf::from(name).file_stem().map_or(name.to_owned(), |stem| stem.to_string_lossy().into_owned())
     };

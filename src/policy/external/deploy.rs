@@ -267,7 +267,7 @@ fn value(key: &str, found: String, expected: &str) -> TranslationFault {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::Gain;
+    use crate::config::PerJoint;
     use crate::policy::external::spec::Spec;
     use crate::policy::external::translate;
 
@@ -316,7 +316,10 @@ observations:
         assert_eq!(names[last + 6], "previous RL_thigh output [1]");
         let simulation = &spec.config.simulation;
         assert_eq!((simulation.physics_rate_hz, simulation.policy_rate_hz), (200, 50));
-        assert_eq!((simulation.kp_n_m_per_rad, simulation.kd_n_m_s_per_rad), (Gain::Same(25.0), Gain::Same(0.5)));
+        assert_eq!(
+            (simulation.kp_n_m_per_rad, simulation.kd_n_m_s_per_rad),
+            (PerJoint::Same(25.0), PerJoint::Same(0.5))
+        );
         assert_eq!(spec.config.robot.model, "go2");
     }
 
@@ -327,7 +330,7 @@ observations:
         let text = FILE.replace(&leg("25.0, 25.0, 25.0"), &leg("20.0, 20.0, 40.0"));
         let text = text.replace("damping: [0.5,", "damping: [1.5,");
         let simulation = described(&text).unwrap().config.simulation;
-        assert_eq!(simulation.kp_n_m_per_rad, Gain::Alike([20.0, 20.0, 40.0]));
+        assert_eq!(simulation.kp_n_m_per_rad, PerJoint::Alike([20.0, 20.0, 40.0]));
         assert_eq!(simulation.kd_n_m_s_per_rad.joints()[..2], [1.5, 0.5]);
     }
 

@@ -11,7 +11,7 @@ use super::framework::TranslationFault;
 use super::text::PolicyDescription;
 use super::{POLICY, deploy, metadata};
 use crate::config::{Config, RobotModel, Simulation};
-use crate::observation::{Numbers, Observed, Quantity, Word};
+use crate::observation::{NamedNumbers, Numbers, Observed, Quantity};
 use crate::policy::inference::Meaning;
 use crate::policy::{Policy, Provenance};
 use crate::robot::{Joints, joint_names};
@@ -58,7 +58,7 @@ pub fn describe_network(config_name: &str, config: &Config, onnx: &str) -> Strin
     let height = Numbers::All(config.reward.base_height_m);
     let observation = config.observation.iter().map(|observed| {
         let is_nominal_height =
-            observed.quantity == Quantity::BaseHeight && observed.offset == Some(Numbers::Word(Word::Nominal));
+            observed.quantity == Quantity::BaseHeight && observed.offset == Some(Numbers::Named(NamedNumbers::Nominal));
         let offset = if is_nominal_height { Some(height.clone()) } else { observed.offset.clone() };
         Observed { offset, ..observed.clone() }
     });

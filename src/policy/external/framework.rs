@@ -1,7 +1,7 @@
 //! What the files of other frameworks say of a policy, in the terms of a description of ours.
 
-use crate::config::Gain;
-use crate::observation::{Ages, Numbers, Observed, Quantity};
+use crate::config::PerJoint;
+use crate::observation::{Numbers, Observed, Quantity, StepsAgo};
 use crate::policy::inference::Meaning;
 use crate::robot::{JOINTS, joint_names};
 use crate::util::files::FileError;
@@ -15,8 +15,8 @@ pub(super) struct Found {
     pub(super) joints: Vec<String>,
     /// Nominal pose in that order \[rad\].
     pub(super) nominal_pose: [f64; JOINTS],
-    pub(super) kp_n_m_per_rad: Gain,
-    pub(super) kd_n_m_s_per_rad: Gain,
+    pub(super) kp_n_m_per_rad: PerJoint,
+    pub(super) kd_n_m_s_per_rad: PerJoint,
     pub(super) policy_rate_hz: u32,
     pub(super) observation: Vec<Observed>,
     /// Ages of the whole observation \[policy steps\].
@@ -79,8 +79,8 @@ pub(super) fn ages(length: u32) -> Vec<u32> {
 }
 
 /// Returns `steps_ago` for these ages; the default is not written.
-pub(super) fn steps_ago(ages: &[u32]) -> Option<Ages> {
-    (ages != [0]).then(|| Ages::Several(ages.to_vec()))
+pub(super) fn steps_ago(ages: &[u32]) -> Option<StepsAgo> {
+    (ages != [0]).then(|| StepsAgo::Several(ages.to_vec()))
 }
 
 /// Checks that a list has one finite number for each joint of a quadruped.
@@ -94,10 +94,10 @@ pub(super) fn for_each_joint(key: &str, found: &[f64]) -> Result<[f64; JOINTS]> 
 }
 
 /// Returns the gains of a list in the order of `joints`, names that a leg and a part begin, such as `FL_hip_joint`.
-pub(super) fn gain(key: &str, found: &[f64], joints: &[String]) -> Result<Gain> {
+pub(super) fn gain(key: &str, found: &[f64], joints: &[String]) -> Result<PerJoint> {
     let gains = for_each_joint(key, found)?;
     if gains == [gains[0]; JOINTS] {
-        return Ok(Gain::Same(gains[0]));
+        return Ok(PerJoint::Same(gains[0]));
     }
     let mut ordered = [0.0; JOINTS];
     for (place, name) in joint_names().iter().enumerate() {
@@ -109,5 +109,5 @@ pub(super) fn gain(key: &str, found: &[f64], joints: &[String]) -> Result<Gain> 
         })?;
         ordered[place] = gains[at];
     }
-    Ok(Gain::from(ordered))
+    Ok(PerJoint::from(ordered))
 }

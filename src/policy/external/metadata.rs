@@ -125,8 +125,8 @@ impl Entries {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::Gain;
-    use crate::observation::Ages;
+    use crate::config::PerJoint;
+    use crate::observation::StepsAgo;
 
     fn metadata(changes: &[(&str, &str)]) -> Entries {
         let entries = [
@@ -158,7 +158,7 @@ mod tests {
         let found = found(&metadata(&[("observation_history_lengths", "0,1,3,1,1,1,1")])).ok().unwrap();
         assert_eq!(found.joints[..2], ["FL_hip_joint", "FR_hip_joint"]);
         assert_eq!(found.nominal_pose[..2], [0.1, -0.1]);
-        assert_eq!((found.kp_n_m_per_rad, found.kd_n_m_s_per_rad), (Gain::Same(25.0), Gain::Same(0.5)));
+        assert_eq!((found.kp_n_m_per_rad, found.kd_n_m_s_per_rad), (PerJoint::Same(25.0), PerJoint::Same(0.5)));
         assert_eq!(found.scale_rad, Numbers::All(0.25));
         let quantities: Vec<Quantity> = found.observation.iter().map(|observed| observed.quantity).collect();
         assert_eq!(
@@ -167,7 +167,7 @@ mod tests {
         );
         assert_eq!(quantities[4..], [Quantity::JointRates, Quantity::LastAction, Quantity::Command]);
         let ages: Vec<_> = found.observation.iter().map(|observed| observed.steps_ago.clone()).collect();
-        assert_eq!(ages[..3], [None, None, Some(Ages::Several(vec![2, 1, 0]))]);
+        assert_eq!(ages[..3], [None, None, Some(StepsAgo::Several(vec![2, 1, 0]))]);
     }
 
     #[test]

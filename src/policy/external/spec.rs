@@ -7,7 +7,7 @@ use serde::Deserialize;
 
 use super::POLICY;
 use crate::config::{Config, ConfigError, RobotModel, Simulation};
-use crate::observation::{Layout, LayoutError, Nominal, Numbers, Observed, limit, numbers};
+use crate::observation::{Layout, LayoutError, NominalValues, Numbers, Observed, limit, numbers};
 use crate::policy::AgentError;
 use crate::policy::inference::{JointPositionAction, Meaning};
 use crate::policy::onnx::OnnxNetwork;
@@ -109,7 +109,7 @@ impl Spec {
         }
         let scale = numbers("action.scale_rad", Some(&raw.action.scale_rad), JOINTS, 1.0)?;
         let action_scale_rad = std::array::from_fn(|joint| scale[joint]);
-        let nominal = Nominal { pose: nominal_pose, height_m: config.reward.base_height_m, action_scale_rad };
+        let nominal = NominalValues { pose: nominal_pose, height_m: config.reward.base_height_m, action_scale_rad };
         let history = raw.history.unwrap_or_else(|| vec![0]);
         Ok(Spec {
             onnx: raw.onnx,
@@ -133,7 +133,7 @@ impl Spec {
         let (length, onnx) = (self.layout.length(), self.onnx.clone());
         if length != network.inputs() {
             let blocks = self.layout.blocks().iter();
-            let lengths: Vec<String> = blocks.map(|block| format!("{:?} {}", block.quantity, block.length())).collect();
+            let lengths: Vec<String> = blocks.map(|block| format!("{} {}", block.quantity, block.length())).collect();
             let times = self.layout.history().len();
             let times = if times == 1 { String::new() } else { format!(", {times} times") };
             let (parts, input) = (lengths.join(", ") + &times, network.input_name().to_owned());

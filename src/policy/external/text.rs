@@ -5,6 +5,7 @@ use std::fmt::{self, Display, Formatter};
 use crate::config::{RobotModel, Simulation};
 use crate::observation::{Numbers, Observed};
 use crate::robot::Joints;
+use crate::util::yaml;
 
 /// A description of an external policy; its `Display` is the YAML text.
 pub(super) struct PolicyDescription<'a> {
@@ -44,7 +45,7 @@ impl Display for PolicyDescription<'_> {
         }
         // JSON is YAML.
         writeln!(out, "onnx: {}", json(self.onnx))?;
-        writeln!(out, "robot: {}{}", json(self.robot), self.note("robot"))?;
+        writeln!(out, "robot: {}{}", json(&yaml::without_defaults(self.robot)), self.note("robot"))?;
         let Simulation { physics_rate_hz, policy_rate_hz, kp_n_m_per_rad, kd_n_m_s_per_rad, latency_s } =
             self.simulation;
         writeln!(out, "simulation:")?;
@@ -55,7 +56,7 @@ impl Display for PolicyDescription<'_> {
         writeln!(out, "joints: [{}]\nnominal_pose_rad: {:?}", self.joints.join(", "), self.nominal_pose)?;
         writeln!(out, "observation:{}", self.note("observation"))?;
         for observed in &self.observation {
-            writeln!(out, "  - {}", json(observed))?;
+            writeln!(out, "  - {}", json(&yaml::without_defaults(observed)))?;
         }
         if self.history != [0] {
             writeln!(out, "history: {:?}", self.history)?;

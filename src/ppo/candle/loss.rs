@@ -9,6 +9,9 @@ use candle_core::{D, Device, Result, Tensor};
 use super::CandleNetworks;
 use crate::ppo::loss::Minibatch;
 
+/// Optional keys of `ppo` that this learner alone uses; the others are refused.
+pub const OPTIONAL_KEYS: &[&str] = &[];
+
 /// The terms of the loss over a minibatch, and statistics; scalars unless another shape is given.
 pub struct Loss {
     /// Total loss `policy + value_coefficient · value − entropy_coefficient · entropy`.
@@ -87,28 +90,14 @@ mod tests {
     use candle_core::DType;
 
     use super::*;
+    use crate::config::Ppo;
     use crate::network::{ActorCritic, Layer, Mlp};
     use crate::ppo::Batch;
     use crate::ppo::loss::tests::settings;
     use crate::ranks::Alone;
 
-    /* The expected numbers:
-    import numpy as np
-    x = np.array([[.5, -1], [1, 2], [-.5, .25]])
-    W, b, w, c = np.array([[1, -.5], [.25, .75]]), np.array([.1, -.2]), np.array([.5, 1]), -.25
-    a = np.array([[1, 0], [.5, 3], [-1, .5]])
-    m0, s0 = np.array([[1, -1], [.25, 1.75], [-.5, 0]]), np.array([-.625, .25])
-    s, A, R = np.array([-.5, .375]), np.array([1, -2, .5]), np.array([.5, 2, -1])
-    def log_prob(m, s): return np.sum(-.5*((a - m)/np.exp(s))**2 - s - .5*np.log(2*np.pi), 1)
-    m, V = x@W.T + b, x@w + c
-    A = (A - A.mean())/(A.std(ddof=1) + 1e-8)
-    r = np.exp(log_prob(m, s) - log_prob(m0, s0))                 # .886, .683, .869; A < 0 in the second
-    policy = -np.minimum(A*r, A*np.clip(r, .8, 1.2)).mean()
-    value, entropy = ((V - R)**2).mean(), np.sum(.5 + .5*np.log(2*np.pi) + s)
-    kl = np.mean(np.sum(s - s0 + (np.exp(2*s0) + (m0 - m)**2)/(2*np.exp(2*s)) - .5, 1))
-    print(log_prob(m0, s0), policy, value, entropy, kl, policy + .5*value - .01*entropy) */
-    #[test]
-    fn loss_equals_that_of_numpy() {
+    /// Returns the loss of three samples.
+    fn loss(settings: &Ppo) -> Loss {
         let linear =
             |weight: &[f32], bias: &[f32]| Mlp { layers: vec![Layer { weight: weight.into(), bias: bias.into() }] };
         let network = ActorCritic {
@@ -127,8 +116,28 @@ mod tests {
             returns: &[0.5, 2.0, -1.0],
         };
         let networks = CandleNetworks::new(&network, DType::F64).unwrap();
-        let (settings, orders) = (settings(), [vec![0, 1, 2]]);
-        let loss = Loss::new(&networks, &Minibatch::all(&batch, &settings, &orders, &Alone)[0]).unwrap();
+        let orders = [vec![0, 1, 2]];
+        Loss::new(&networks, &Minibatch::all(&batch, settings, &orders, &Alone)[0]).unwrap()
+    }
+
+    /* The expected numbers:
+    import numpy as np
+    x = np.array([[.5, -1], [1, 2], [-.5, .25]])
+    W, b, w, c = np.array([[1, -.5], [.25, .75]]), np.array([.1, -.2]), np.array([.5, 1]), -.25
+    a = np.array([[1, 0], [.5, 3], [-1, .5]])
+    m0, s0 = np.array([[1, -1], [.25, 1.75], [-.5, 0]]), np.array([-.625, .25])
+    s, A, R = np.array([-.5, .375]), np.array([1, -2, .5]), np.array([.5, 2, -1])
+    def log_prob(m, s): return np.sum(-.5*((a - m)/np.exp(s))**2 - s - .5*np.log(2*np.pi), 1)
+    m, V = x@W.T + b, x@w + c
+    A = (A - A.mean())/(A.std(ddof=1) + 1e-8)
+    r = np.exp(log_prob(m, s) - log_prob(m0, s0))                 # .886, .683, .869; A < 0 in the second
+    policy = -np.minimum(A*r, A*np.clip(r, .8, 1.2)).mean()
+    value, entropy = ((V - R)**2).mean(), np.sum(.5 + .5*np.log(2*np.pi) + s)
+    kl = np.mean(np.sum(s - s0 + (np.exp(2*s0) + (m0 - m)**2)/(2*np.exp(2*s)) - .5, 1))
+    print(log_prob(m0, s0), policy, value, entropy, kl, policy + .5*value - .01*entropy) */
+    #[test]
+    fn loss_equals_that_of_numpy() {
+        let loss = loss(&settings());
         for (name, actual, expected) in [
             ("policy", loss.policy, -0.030324988),
             ("value", loss.value, 0.958333333),

@@ -16,4 +16,5 @@ mod networks;
 pub use adam::CandleAdam;
 pub use learner::CandleLearner;
 pub use loss::Loss;
+pub(super) use loss::OPTIONAL_KEYS;
 pub use networks::CandleNetworks;

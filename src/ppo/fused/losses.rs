@@ -3,6 +3,9 @@
 use crate::ppo::loss::{Minibatch, Surrogate};
 use crate::ppo::{DiagonalGaussian, KlDivergence};
 
+/// Optional keys of `ppo` that this learner alone uses; the others are refused.
+pub const OPTIONAL_KEYS: &[&str] = &["shards"];
+
 /// A block of rows between its forward and its backward pass.
 pub struct Pass<'a> {
     /// Index of the network: 0 for the policy, 1 for the value function.

@@ -17,6 +17,7 @@ mod tree;
 
 pub use arithmetic::{Arithmetic, Chunk, LayerPanels};
 pub use learner::FusedLearner;
+pub(super) use losses::OPTIONAL_KEYS;
 pub use panels::Panels;
 #[cfg(tiles)]
 pub use tiles::{Tiles, available as tiles_available};

@@ -14,7 +14,7 @@ use crate::util::random::{Purpose, stream};
 /// Returns the file of a policy that holds a pose.
 fn standing(pose: [f64; 3]) -> Vec<u8> {
     let mut config = Config::load("compliant").unwrap();
-    config.action.nominal_pose_rad = crate::config::LegPose::Alike(pose);
+    config.action.nominal_pose_rad = crate::config::PerJoint::Alike(pose);
     let layout = config.layout().unwrap();
     let mut rng = stream(0, Purpose::Weights, 0, 0);
     let network = ActorCritic::orthogonal(layout.length(), &[8], JOINTS, -1.0, &mut rng).zeros_like();

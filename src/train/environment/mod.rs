@@ -22,7 +22,7 @@ use super::terrain::{self, Course, GroundKind};
 use super::{Curriculum, EpisodePlan};
 use crate::config::{Config, ValueError};
 use crate::mujoco;
-use crate::observation::{Command, Layout, Moment, Observer, Privileged};
+use crate::observation::{Command, Layout, ObservationInput, Observer, Privileged};
 use crate::robot::{JOINTS, Joints, Robot, joint_target};
 use crate::sim::last_second::LastSecond;
 use crate::sim::{Ground, HeightField, Scene, Sim};
@@ -248,7 +248,7 @@ impl LocomotionEnv {
             let mut rng = stream(self.seed, Purpose::Imu, self.index, p.episode << 24 | world.steps() as u64);
             imu.seen(state, &mut rng)
         });
-        let now = Moment {
+        let now = ObservationInput {
             state: seen.as_ref().unwrap_or(state),
             command: &p.plan.command,
             last_action: &p.last_action,
@@ -259,7 +259,7 @@ impl LocomotionEnv {
         };
         p.observer.measure(&self.shared.layout, &now);
         if let (Some(layout), Some(privileged)) = (&self.shared.critic, privileged) {
-            p.critic_observer.measure(layout, &Moment { state, privileged, ..now });
+            p.critic_observer.measure(layout, &ObservationInput { state, privileged, ..now });
         }
     }
 

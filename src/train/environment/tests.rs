@@ -179,7 +179,7 @@ fn critic_sees_the_push_when_it_comes_and_the_encoder_bias_always() {
 
 #[test]
 fn critic_sees_the_pull_that_acts() {
-    let mut config = privileged(&[Quantity::Pull]);
+    let mut config = privileged(&[Quantity::TrunkForce]);
     config.pulls = Some(pulls());
     let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
     env.without_stagger();
