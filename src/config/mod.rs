@@ -16,14 +16,19 @@ mod terrain;
 
 use std::path::PathBuf;
 
+use garde::Validate;
+use serde::{Deserialize, Serialize};
+
 pub use check::ValueError;
 pub use sections::{
-    Action, CommandRange, Config, Episode, HeldFeet, LearnerKind, PerJoint, Ppo, Precision, Pulls, Randomisation,
-    Reward, RobotModel, Run, Simulation, Terrain,
+    Action, CommandRange, Episode, HeldFeet, LearnerKind, PerJoint, Ppo, Precision, Pulls, Randomisation, Reward,
+    RobotModel, Run, Simulation,
 };
+pub use terrain::Terrain;
 pub(crate) use terrain::{SPACING_M, TILE_M};
 
-use crate::robot::Robot;
+use crate::observation::{Layout, LayoutError, NominalValues, Observed};
+use crate::robot::{JOINTS, Robot};
 use crate::util::files;
 use crate::util::yaml::{self, Text, Value, YamlError};
 use merge::Merged;
@@ -84,7 +89,95 @@ pub struct DifferenceError(
     pub Vec<(String, [String; 2])>,
 );
 
+/// A training configuration: everything that defines a run except its seed.
+///
+/// ```
+/// use supple::config::Config;
+///
+/// let config = Config::load("compliant")?; // a shipped name, or the path of a YAML file
+/// assert_eq!(config.simulation.policy_rate_hz, 60);
+/// let changed = config.with(&["ppo.epochs=4".to_owned()])?; // checked like the file itself
+/// assert_eq!(changed.ppo.epochs, 4);
+/// assert!(config.with(&["ppo.epochs=0".to_owned()]).is_err());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Validate)]
+#[serde(deny_unknown_fields)]
+#[garde(context(Config))]
+pub struct Config {
+    /// The robot and its joint losses.
+    #[garde(dive)]
+    pub robot: RobotModel,
+    /// Rates, gains, latency.
+    #[garde(dive)]
+    pub simulation: Simulation,
+    /// The map from network outputs to joint targets.
+    #[garde(dive)]
+    pub action: Action,
+    /// The entries of the observation, in order.
+    #[garde(skip)]
+    pub observation: Vec<Observed>,
+    /// The entries that the critic observes in addition to the policy's observation, from the true state; they may be
+    /// quantities that only the simulator knows. None if the list is missing.
+    #[serde(default)]
+    #[garde(skip)]
+    pub critic_observation: Vec<Observed>,
+    /// Range of velocity commands, and its curriculum.
+    #[garde(dive)]
+    pub command: CommandRange,
+    /// Stages, pushes, slopes, termination.
+    #[garde(dive)]
+    pub episode: Episode,
+    /// Sustained pulls on the trunk; none if the section is missing.
+    #[garde(dive)]
+    pub pulls: Option<Pulls>,
+    /// Feet that are held in their swing; none if the section is missing.
+    #[garde(dive)]
+    pub held_feet: Option<HeldFeet>,
+    /// Uneven ground with a curriculum; a plane if the section is missing.
+    #[garde(dive)]
+    pub terrain: Option<Terrain>,
+    /// Weights and targets of the reward (Table II).
+    #[garde(dive)]
+    pub reward: Reward,
+    /// Randomisation of the dynamics and of the sensors.
+    #[garde(dive)]
+    pub randomisation: Randomisation,
+    /// Settings of PPO (Table III).
+    #[garde(dive)]
+    pub ppo: Ppo,
+    /// Length of the run, and how often it is saved.
+    #[garde(dive)]
+    pub run: Run,
+}
+
 impl Config {
+    /// Builds the layout of the observation.
+    ///
+    /// # Errors
+    /// An entry of the observation is invalid, or the observation is empty or too long.
+    pub fn layout(&self) -> Result<Layout, LayoutError> {
+        Layout::new(&self.observation, &self.nominal())
+    }
+
+    /// Builds the layout of what the critic observes in addition; `None` if it observes what the policy does.
+    ///
+    /// # Errors
+    /// An entry of the list is invalid, or the list is too long.
+    pub fn critic_layout(&self) -> Result<Option<Layout>, LayoutError> {
+        let entries = &self.critic_observation;
+        (!entries.is_empty()).then(|| Layout::for_critic(entries, &self.nominal())).transpose()
+    }
+
+    /// Returns the nominal values that offsets and scales refer to by name.
+    pub fn nominal(&self) -> NominalValues {
+        NominalValues {
+            pose: self.action.nominal_pose_rad.joints(),
+            height_m: self.reward.base_height_m,
+            action_scale_rad: [self.action.scale_rad; JOINTS],
+        }
+    }
+
     /// Checks that this equals another configuration except for the length of the run.
     ///
     /// # Errors

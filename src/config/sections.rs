@@ -6,79 +6,16 @@ use std::sync::Arc;
 use garde::Validate;
 use serde::{Deserialize, Serialize};
 
-use super::LOG_STD_RANGE;
 use super::check::{
     MAX_BATCH_SIZE, MAX_EPOCHS, MAX_STAGE_S, a_step_to_an_hour, at_least_one, between_learning_rates, cost, delays,
     divides_batch, divides_batch_above_one, finite_angles, fraction, gains_not_negative, layer_widths, low_and_high,
     not_negative, physics_rate, positive, power_of_two_that_divides, rising_to_one, shortest_and_longest,
     supported_precision, within,
 };
-use crate::observation::{Layout, LayoutError, NominalValues, Observed};
+use super::{Config, LOG_STD_RANGE};
 use crate::robot::{JOINTS, Joints, Losses, Robot, same_in_every_leg};
 use crate::util::files::FileError;
 use crate::util::numbers::maximum;
-
-/// A training configuration: everything that defines a run except its seed.
-///
-/// ```
-/// use supple::config::Config;
-///
-/// let config = Config::load("compliant")?; // a shipped name, or the path of a YAML file
-/// assert_eq!(config.simulation.policy_rate_hz, 60);
-/// let changed = config.with(&["ppo.epochs=4".to_owned()])?; // checked like the file itself
-/// assert_eq!(changed.ppo.epochs, 4);
-/// assert!(config.with(&["ppo.epochs=0".to_owned()]).is_err());
-/// # Ok::<(), Box<dyn std::error::Error>>(())
-/// ```
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Validate)]
-#[serde(deny_unknown_fields)]
-#[garde(context(Config))]
-pub struct Config {
-    /// The robot and its joint losses.
-    #[garde(dive)]
-    pub robot: RobotModel,
-    /// Rates, gains, latency.
-    #[garde(dive)]
-    pub simulation: Simulation,
-    /// The map from network outputs to joint targets.
-    #[garde(dive)]
-    pub action: Action,
-    /// The entries of the observation, in order.
-    #[garde(skip)]
-    pub observation: Vec<Observed>,
-    /// The entries that the critic observes in addition to the policy's observation, from the true state; they may be
-    /// quantities that only the simulator knows. None if the list is missing.
-    #[serde(default)]
-    #[garde(skip)]
-    pub critic_observation: Vec<Observed>,
-    /// Range of velocity commands, and its curriculum.
-    #[garde(dive)]
-    pub command: CommandRange,
-    /// Stages, pushes, slopes, termination.
-    #[garde(dive)]
-    pub episode: Episode,
-    /// Sustained pulls on the trunk; none if the section is missing.
-    #[garde(dive)]
-    pub pulls: Option<Pulls>,
-    /// Feet that are held in their swing; none if the section is missing.
-    #[garde(dive)]
-    pub held_feet: Option<HeldFeet>,
-    /// Uneven ground with a curriculum; a plane if the section is missing.
-    #[garde(dive)]
-    pub terrain: Option<Terrain>,
-    /// Weights and targets of the reward (Table II).
-    #[garde(dive)]
-    pub reward: Reward,
-    /// Randomisation of the dynamics and of the sensors.
-    #[garde(dive)]
-    pub randomisation: Randomisation,
-    /// Settings of PPO (Table III).
-    #[garde(dive)]
-    pub ppo: Ppo,
-    /// Length of the run, and how often it is saved.
-    #[garde(dive)]
-    pub run: Run,
-}
 
 /// The robot's model.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Validate)]
@@ -344,30 +281,6 @@ pub struct HeldFeet {
     pub gap_s: [f64; 2],
 }
 
-/// Uneven ground in training, whose levels rise with what a robot walks and fall when it falls; not in the paper.
-///
-/// Every second environment on it has rough ground, every other one boxes.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Validate)]
-#[serde(deny_unknown_fields)]
-#[garde(context(Config))]
-pub struct Terrain {
-    /// Fraction of the environments with uneven ground; the others have a plane.
-    #[garde(custom(fraction))]
-    pub environments: f64,
-    /// Number of levels.
-    #[garde(custom(within(1..=20, "")))]
-    pub levels: usize,
-    /// Height of rough ground from its lowest to its highest point on the first and on the last level \[m\].
-    #[garde(custom(low_and_high))]
-    pub rough_m: [f64; 2],
-    /// Height of the highest boxes on the first and on the last level \[m\].
-    #[garde(custom(low_and_high))]
-    pub boxes_m: [f64; 2],
-    /// Factor of `reward.tracking_sharpness` on uneven ground: below 1, tracking is paid more loosely there.
-    #[garde(custom(fraction))]
-    pub sharpness_factor: f64,
-}
-
 /// Table II and equations 1–3.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Validate)]
 #[serde(deny_unknown_fields)]
@@ -605,32 +518,4 @@ pub struct Run {
     /// without it.
     #[garde(inner(custom(at_least_one)))]
     pub keep_policy_every: Option<u64>,
-}
-
-impl Config {
-    /// Builds the layout of the observation.
-    ///
-    /// # Errors
-    /// An entry of the observation is invalid, or the observation is empty or too long.
-    pub fn layout(&self) -> Result<Layout, LayoutError> {
-        Layout::new(&self.observation, &self.nominal())
-    }
-
-    /// Builds the layout of what the critic observes in addition; `None` if it observes what the policy does.
-    ///
-    /// # Errors
-    /// An entry of the list is invalid, or the list is too long.
-    pub fn critic_layout(&self) -> Result<Option<Layout>, LayoutError> {
-        let entries = &self.critic_observation;
-        (!entries.is_empty()).then(|| Layout::for_critic(entries, &self.nominal())).transpose()
-    }
-
-    /// Returns the nominal values that offsets and scales refer to by name.
-    pub fn nominal(&self) -> NominalValues {
-        NominalValues {
-            pose: self.action.nominal_pose_rad.joints(),
-            height_m: self.reward.base_height_m,
-            action_scale_rad: [self.action.scale_rad; JOINTS],
-        }
-    }
 }

@@ -1,6 +1,10 @@
 //! The size of uneven ground, which follows from its levels and from how far episodes lead.
 
-use super::{Config, Terrain, ValueError};
+use garde::Validate;
+use serde::{Deserialize, Serialize};
+
+use super::check::{fraction, low_and_high, within};
+use super::{Config, ValueError};
 use crate::util::numbers::maximum;
 
 /// Edge of a tile, of which each level has one \[m\].
@@ -14,6 +18,30 @@ const MARGIN_M: f64 = 1.0;
 
 /// Longest ground \[m\]: 4000 points, of the 4096 that MuJoCo may be asked for.
 const LONGEST_M: f64 = 4000.0 * SPACING_M;
+
+/// Uneven ground in training, whose levels rise with what a robot walks and fall when it falls; not in the paper.
+///
+/// Every second environment on it has rough ground, every other one boxes.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Validate)]
+#[serde(deny_unknown_fields)]
+#[garde(context(Config))]
+pub struct Terrain {
+    /// Fraction of the environments with uneven ground; the others have a plane.
+    #[garde(custom(fraction))]
+    pub environments: f64,
+    /// Number of levels.
+    #[garde(custom(within(1..=20, "")))]
+    pub levels: usize,
+    /// Height of rough ground from its lowest to its highest point on the first and on the last level \[m\].
+    #[garde(custom(low_and_high))]
+    pub rough_m: [f64; 2],
+    /// Height of the highest boxes on the first and on the last level \[m\].
+    #[garde(custom(low_and_high))]
+    pub boxes_m: [f64; 2],
+    /// Factor of `reward.tracking_sharpness` on uneven ground: below 1, tracking is paid more loosely there.
+    #[garde(custom(fraction))]
+    pub sharpness_factor: f64,
+}
 
 impl Terrain {
     /// Returns half of the ground's length along x and y \[m\]: there is ground as far as `reach_m` \[m\] around each start, and a

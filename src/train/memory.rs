@@ -9,6 +9,7 @@ use std::fmt;
 
 use super::TrainError;
 use super::environment::{LocomotionEnv, Shared};
+use super::terrain::uneven;
 use crate::config::{Config, LearnerKind};
 use crate::robot::JOINTS;
 use crate::train::Curriculum;
@@ -119,7 +120,7 @@ impl fmt::Display for MemoryEstimate {
 /// # Errors
 /// The scene does not compile.
 pub fn environments_bytes(config: &Config, shared: &Shared, count: u64) -> Result<u64, TrainError> {
-    let uneven = config.terrain.as_ref().map_or(0, |terrain| terrain.uneven(count));
+    let uneven = config.terrain.as_ref().map_or(0, |terrain| uneven(terrain, count));
     let mut bytes = 0_u64;
     for (fraction, count) in [(0.0, count.saturating_sub(uneven)), (1.0, uneven)] {
         if count > 0 {

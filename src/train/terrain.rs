@@ -50,62 +50,60 @@ impl GroundKind {
     pub(super) const ALL: [GroundKind; 2] = [GroundKind::Rough, GroundKind::Boxes];
 }
 
-impl Terrain {
-    /// Returns the kind of ground of environment `index`; `None` for a plane. Uneven ground is spread evenly over the
-    /// environments, whatever ranks they belong to.
-    pub(super) fn kind(&self, index: u64) -> Option<GroundKind> {
-        let number = self.uneven(index);
-        let kind = if number.is_multiple_of(2) { GroundKind::Rough } else { GroundKind::Boxes };
-        (self.uneven(index + 1) > number).then_some(kind)
-    }
+/// Returns the kind of ground of environment `index`; `None` for a plane. Uneven ground is spread evenly over the
+/// environments, whatever ranks they belong to.
+pub(super) fn ground_kind(terrain: &Terrain, index: u64) -> Option<GroundKind> {
+    let number = uneven(terrain, index);
+    let kind = if number.is_multiple_of(2) { GroundKind::Rough } else { GroundKind::Boxes };
+    (uneven(terrain, index + 1) > number).then_some(kind)
+}
 
-    /// Returns how many of the first `count` environments have uneven ground.
-    pub(super) fn uneven(&self, count: u64) -> u64 {
-        (count as f64 * self.environments).floor() as u64
-    }
+/// Returns how many of the first `count` environments have uneven ground.
+pub(super) fn uneven(terrain: &Terrain, count: u64) -> u64 {
+    (count as f64 * terrain.environments).floor() as u64
+}
 
-    /// Returns the centre of a level's tile, where episodes start, world frame \[m\].
-    pub(super) fn start(&self, level: usize) -> [f64; 2] {
-        [TILE_M * (level as f64 - 0.5 * (self.levels - 1) as f64), 0.0]
-    }
+/// Returns the centre of a level's tile, where episodes start, world frame \[m\].
+pub(super) fn start(terrain: &Terrain, level: usize) -> [f64; 2] {
+    [TILE_M * (level as f64 - 0.5 * (terrain.levels - 1) as f64), 0.0]
+}
 
-    /// Returns the height of the ground on a level \[m\].
-    fn height_m(&self, kind: GroundKind, level: usize) -> f64 {
-        let [first, last] = match kind {
-            GroundKind::Rough => self.rough_m,
-            GroundKind::Boxes => self.boxes_m,
-        };
-        first + (last - first) * level as f64 / (self.levels - 1).max(1) as f64
-    }
+/// Returns the height of the ground on a level \[m\].
+fn height_m(terrain: &Terrain, kind: GroundKind, level: usize) -> f64 {
+    let [first, last] = match kind {
+        GroundKind::Rough => terrain.rough_m,
+        GroundKind::Boxes => terrain.boxes_m,
+    };
+    first + (last - first) * level as f64 / (terrain.levels - 1).max(1) as f64
+}
 
-    /// Builds the field of a kind, with all levels: the same one in every run. There is ground as far as `reach_m` around each
-    /// start, and a margin \[m\].
-    pub(super) fn field(&self, kind: GroundKind, reach_m: f64) -> HeightField {
-        let half_size = self.half_size_m(reach_m);
-        let noise = Perlin::new(0);
-        let counts = half_size.map(|half| (2.0 * half / BOX_M).ceil() as usize);
-        let mut rng = stream(0, Purpose::Terrain, 1, 0);
-        // Three fifths of the ground are low, a fifth is half as high, a fifth is high.
-        let boxes: Vec<f64> =
-            (0..counts[0] * counts[1]).map(|_| [0.0, 0.0, 0.0, 0.5, 1.0][rng.random_range(0..5_usize)]).collect();
-        let shape = |x: f64, y: f64| match kind {
-            GroundKind::Rough => noise.at(BUMPS_PER_M * x + 0.37, BUMPS_PER_M * y + 0.59) / NOISE_RANGE,
-            GroundKind::Boxes => {
-                let [column, row]: [usize; 2] = array::from_fn(|axis| {
-                    let place = ([x, y][axis] + half_size[axis]) / BOX_M;
-                    (place.max(0.0) as usize).min(counts[axis] - 1)
-                });
-                boxes[row * counts[0] + column]
-            }
-        };
-        HeightField::sample(half_size, SPACING_M, |x, y| {
-            let tile = (x / TILE_M + 0.5 * self.levels as f64).floor().clamp(0.0, (self.levels - 1) as f64);
-            let level = tile as usize;
-            let [start_x, start_y] = self.start(level);
-            let away = ((x - start_x).hypot(y - start_y) - FLAT_M[0]) / FLAT_M[1];
-            away.clamp(0.0, 1.0) * self.height_m(kind, level) * shape(x, y)
-        })
-    }
+/// Builds the field of a kind, with all levels: the same one in every run. There is ground as far as `reach_m` around each
+/// start, and a margin \[m\].
+pub(super) fn field(terrain: &Terrain, kind: GroundKind, reach_m: f64) -> HeightField {
+    let half_size = terrain.half_size_m(reach_m);
+    let noise = Perlin::new(0);
+    let counts = half_size.map(|half| (2.0 * half / BOX_M).ceil() as usize);
+    let mut rng = stream(0, Purpose::Terrain, 1, 0);
+    // Three fifths of the ground are low, a fifth is half as high, a fifth is high.
+    let boxes: Vec<f64> =
+        (0..counts[0] * counts[1]).map(|_| [0.0, 0.0, 0.0, 0.5, 1.0][rng.random_range(0..5_usize)]).collect();
+    let shape = |x: f64, y: f64| match kind {
+        GroundKind::Rough => noise.at(BUMPS_PER_M * x + 0.37, BUMPS_PER_M * y + 0.59) / NOISE_RANGE,
+        GroundKind::Boxes => {
+            let [column, row]: [usize; 2] = array::from_fn(|axis| {
+                let place = ([x, y][axis] + half_size[axis]) / BOX_M;
+                (place.max(0.0) as usize).min(counts[axis] - 1)
+            });
+            boxes[row * counts[0] + column]
+        }
+    };
+    HeightField::sample(half_size, SPACING_M, |x, y| {
+        let tile = (x / TILE_M + 0.5 * terrain.levels as f64).floor().clamp(0.0, (terrain.levels - 1) as f64);
+        let level = tile as usize;
+        let [start_x, start_y] = start(terrain, level);
+        let away = ((x - start_x).hypot(y - start_y) - FLAT_M[0]) / FLAT_M[1];
+        away.clamp(0.0, 1.0) * height_m(terrain, kind, level) * shape(x, y)
+    })
 }
 
 /// The progress of an episode on uneven ground, and its level.
@@ -167,7 +165,7 @@ mod tests {
     fn half_of_the_environments_have_either_kind_in_turn() {
         let kinds = |environments: f64| -> Vec<Option<GroundKind>> {
             let terrain = Terrain { environments, ..terrain() };
-            (0..8).map(|index| terrain.kind(index)).collect()
+            (0..8).map(|index| ground_kind(&terrain, index)).collect()
         };
         let [rough, boxes] = [Some(GroundKind::Rough), Some(GroundKind::Boxes)];
         assert_eq!(kinds(0.5), [None, rough, None, boxes, None, rough, None, boxes]);
@@ -179,9 +177,9 @@ mod tests {
     fn ground_is_as_high_as_its_level_and_flat_at_the_start() {
         let terrain = terrain();
         for (kind, [first, last]) in [(GroundKind::Rough, terrain.rough_m), (GroundKind::Boxes, terrain.boxes_m)] {
-            let ground = Ground::Field(terrain.field(kind, 5.0).into());
+            let ground = Ground::Field(field(&terrain, kind, 5.0).into());
             for level in 0..6 {
-                let [x, y] = terrain.start(level);
+                let [x, y] = start(&terrain, level);
                 let on_tile = (0..6400).map(|k| {
                     let at = |index: usize| 0.09 * index as f64 - 3.6;
                     ground.height(x + at(k % 80), y + at(k / 80))
@@ -198,7 +196,7 @@ mod tests {
     fn ground_reaches_as_far_as_an_episode_and_a_margin() {
         // 2 + 1 + 3 s at 1 and 0.5 m/s: 6.71 m around starts at ±20 m.
         let config = Config::load("real").unwrap();
-        let [x, y] = terrain().field(GroundKind::Rough, config.reach_m()).half_size;
+        let [x, y] = field(&terrain(), GroundKind::Rough, config.reach_m()).half_size;
         assert!((x - 27.708).abs() < 1e-3 && (y - 7.708).abs() < 1e-3, "{x} {y}");
     }
 

@@ -93,9 +93,9 @@ impl Shared {
             robot,
             layout: Arc::new(config.layout().map_err(ValueError::Observation)?),
             critic: critic.map(Arc::new),
-            fields: config.terrain.as_ref().map(|terrain| {
+            fields: config.terrain.as_ref().map(|terrain_config| {
                 let reach_m = config.reach_m();
-                GroundKind::ALL.map(|kind| Arc::new(terrain.field(kind, reach_m)))
+                GroundKind::ALL.map(|kind| Arc::new(terrain::field(terrain_config, kind, reach_m)))
             }),
         })
     }
@@ -160,7 +160,8 @@ impl LocomotionEnv {
         curriculum: Curriculum,
     ) -> mujoco::Result<Self> {
         let terrain = config.terrain.as_ref().zip(shared.fields.as_ref());
-        let uneven = terrain.and_then(|(terrain, fields)| Some((terrain, &fields[terrain.kind(index)? as usize])));
+        let uneven = terrain
+            .and_then(|(terrain, fields)| Some((terrain, &fields[terrain::ground_kind(terrain, index)? as usize])));
         let (mut scene, mut reward) =
             (Scene::flat(Arc::clone(&shared.robot), config.simulation.timestep_s()), config.reward.clone());
         if let Some((terrain, field)) = uneven {
@@ -230,7 +231,7 @@ impl LocomotionEnv {
             self.world.sim_mut().set_dynamics(dynamics)?;
         }
         if let (Some(course), Some(terrain)) = (self.progress.course, &self.config.terrain) {
-            self.world.sim_mut().set_start(terrain.start(course.level));
+            self.world.sim_mut().set_start(terrain::start(terrain, course.level));
         }
         self.world.begin(plan.conditions, &self.nominal, std::mem::take(&mut plan.disturbances))?;
         self.last_second.clear();
