@@ -39,7 +39,9 @@ fn package_has_all_embedded_files_and_is_small() {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let packed: BTreeSet<PathBuf> = String::from_utf8(output.stdout).unwrap().lines().map(PathBuf::from).collect();
 
-    let mut embedded: Vec<PathBuf> = files_in(&root.join("policies"));
+    // A macro embeds the scenarios' defaults by their names.
+    let mut embedded: Vec<PathBuf> =
+        [files_in(&root.join("policies")), files_in(&root.join("configs/scenarios"))].concat();
     for file in files_in(&root.join("src")) {
         let code = std::fs::read_to_string(&file).unwrap();
         for mark in ["include_str!(\"", "include_bytes!(\""] {

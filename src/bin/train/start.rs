@@ -23,6 +23,9 @@ const STARTED_BY_MPI: [&str; 3] = ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "PMIX_RAN
 #[cfg(not(feature = "mpi"))]
 const PROCESSES: [&str; 3] = ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS"];
 
+/// Default configuration.
+const DEFAULT: &str = "fast";
+
 /// Default number of shards, enough for as many ranks.
 const SHARDS: usize = 8;
 
@@ -99,7 +102,7 @@ fn check_alike(trainer: &Trainer) -> anyhow::Result<()> {
 
 /// Returns the name and the configuration that the arguments ask for; with `speaks`, tells how it fits a robot.
 pub fn configured(args: &Args, speaks: bool) -> anyhow::Result<(String, Config)> {
-    let name = args.config.as_deref().unwrap_or("fast");
+    let name = args.config.as_deref().unwrap_or(DEFAULT);
     // Of a robot's own, --set speaks once everything is fitted to it.
     let set = if args.robot.is_some() { &[] } else { &args.set[..] };
     let (mut config, notes) = Config::load_with_notes(name, set)?;
@@ -199,7 +202,8 @@ fn read(path: &Path, args: &Args) -> anyhow::Result<(RunFolder, Checkpoint)> {
     let (folder, mut checkpoint, notes) = RunFolder::resume(path)?;
     notes.iter().for_each(|note| terminal::note(format_args!("warning: {note}")));
     if args.config.is_some() || args.is_one_of_several {
-        let (name, config) = configured(args, false)?;
+        let name = args.config.as_deref().unwrap_or(DEFAULT);
+        let (_, config) = configured(args, false)?;
         let differs =
             |keys| anyhow::anyhow!("{} was not begun with {name}: {keys}; start anew with --out", path.display());
         checkpoint.run.config.check_same(&config).map_err(differs)?;
