@@ -295,10 +295,17 @@ impl Experiment for CommandedCompliance {
                 }
             }
             for (set, name) in results.names.iter().enumerate() {
+                let samples = results.sets[set].values().flat_map(|policy| &policy[self.pulls(command)]).flatten();
+                let is_played = samples.into_iter().any(|sample| sample.end != TrialEnd::OutOfReach);
                 panels.push(Curve {
                     title: format!("{name}, {}", gait(*speed)),
                     points: self.curve(results, set, command),
                     diagonal: true,
+                    if_empty: if is_played {
+                        "no pull without a fall"
+                    } else {
+                        "not played: compliances not supported"
+                    },
                     set,
                     ..Curve::default()
                 });
@@ -324,8 +331,10 @@ impl Experiment for CommandedCompliance {
         let svg = curves::draw("Measured over commanded compliance", &panels, words[0], words[1]);
         section.figure(
             "",
-            "Measured over commanded compliance: mean over policies, directions and forces, and the band between the \
-             direction and force with the least and that with the largest. Dashed: the commanded compliance.",
+            "Measured over commanded compliance: mean over policies, directions and forces, and the range from the \
+             direction and force with the least to that with the largest: a band, or a bar where there is one \
+             compliance. Dashed: the commanded compliance. Policies are not played beyond the compliances that they \
+             were calibrated for (policy calibrate).",
             svg,
         );
     }

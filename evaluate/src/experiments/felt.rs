@@ -384,13 +384,15 @@ impl Experiment for Felt {
                 Some([*force, mean(means.into_iter())?, least, largest])
             };
             let points = self.forces_n.iter().filter_map(point).collect();
-            panels.push(Curve { title: name.clone(), points, diagonal: true, set, ..Curve::default() });
+            let if_empty = "no steady pull without a fall";
+            panels.push(Curve { title: name.clone(), points, diagonal: true, set, if_empty, ..Curve::default() });
         }
         let svg = curves::draw("Felt over true force", &panels, "true force [N]", "felt along it [N]");
         section.figure(
             "",
             "Felt over true force on the trunk under steady pulls: mean over policies, commands and directions, and the \
-             band between the command and direction that feels least and the one that feels most. Dashed: equal forces.",
+             range from the command and direction that feels least to the one that feels most: a band, or a bar where \
+             there is one force. Dashed: equal forces.",
             svg,
         );
         let directions = self.directions as usize;
