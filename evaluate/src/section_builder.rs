@@ -135,8 +135,20 @@ impl<'a> SectionBuilder<'a> {
         };
         let panels: Vec<Dots> = quantities.iter().map(panel).collect();
         let labels: Vec<String> = groups.iter().map(|group| group.name.clone()).collect();
-        let svg = dots::draw(title, &panels, &labels, &self.results.names);
-        self.figure(part, caption, svg);
+        self.panels(part, title, &panels, &labels, caption);
+    }
+
+    /// Adds a figure of panels, and says in its caption what the marks are.
+    pub fn panels(&mut self, part: &str, title: &str, panels: &[Dots], labels: &[String], caption: &str) {
+        let marks = match self.results.sets.iter().any(|set| set.len() > 1) {
+            true if panels.iter().any(|panel| panel.quantity.unit == "%") => {
+                "Mean ± standard deviation over seeds, cut off at 0 and 100 %; single seeds as hollow marks."
+            }
+            true => "Mean ± standard deviation over seeds; single seeds as hollow marks.",
+            false => "Each mark is the mean over the trials of one policy.",
+        };
+        let svg = dots::draw(title, panels, labels, &self.results.names);
+        self.figure(part, format!("{caption} {marks}"), svg);
     }
 
     /// Adds a figure of a quantity by direction, with a panel for each group of directions, which divide the circle evenly.

@@ -112,7 +112,7 @@ impl Experiment for BallPit {
             "",
             "Crossing a ball pit",
             &["crossed", "fell", "stuck", "peak_foot_force_n"],
-            "Crossing a field of loose balls: mean ± standard deviation over seeds, single seeds as hollow marks.",
+            "Crossing a field of loose balls.",
         );
         let all = section.all();
         let text = "Compliant policies get across the ball pit more often";

@@ -425,8 +425,7 @@ impl Experiment for Felt {
             &unpulled,
             &[MEAN.name, SD.name, Q95.name],
             "What robots feel beyond the true force on the trunk though nothing pulls: mean and standard deviation (the \
-             larger of forward and left), 95 % quantile of the horizontal force. Mean ± standard deviation over seeds, \
-             single seeds as hollow marks.",
+             larger of forward and left), 95 % quantile of the horizontal force.",
         );
     }
 }

@@ -170,7 +170,7 @@ impl Experiment for FreeBox {
             "forces",
             "Displacement and forces of the box",
             &["box_displacement_m", "peak_contact_force_n", "mean_contact_force_n", "passed"],
-            "Displacement of the box and forces on it, by its friction: mean ± standard deviation over seeds, single seeds as hollow marks.",
+            "Displacement of the box and forces on it, by its friction.",
         );
         for (text, paper, quantity, expected) in [
             ("Compliant policies displace a box in their way less", "less", "box_displacement_m", Expected::Lower),

@@ -62,8 +62,8 @@ impl Experiment for Outdoor {
             "",
             "Success, velocity error and power on hills",
             &["success", "velocity_error_m_s", "power_w"],
-            "Over hills of varied friction, by their steepest slope: mean ± standard deviation over seeds, single \
-             seeds as hollow marks. Velocity error and power are of trials without a fall.",
+            "Over hills of varied friction, by their steepest slope. Velocity error and power are of trials without a \
+             fall.",
         );
         let (all, text) = (section.all(), "On hills of varied friction, compliant policies fall less often");
         section.claim(text, "manages; no baseline shown", "success", Expected::Higher, &all);

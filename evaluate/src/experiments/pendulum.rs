@@ -83,8 +83,7 @@ impl Experiment for Pendulum {
             "Effect of a swinging ball, by release height",
             &["decay_20_s", "carried_m", "peak_contact_force_n"],
             "Hit by a ball of 3 kg on a string of 1 m, by command and release height: decay time, distance carried, \
-             peak force. Mean ± standard deviation over seeds, single seeds as hollow marks; trials with a fall have \
-             no decay time and no distance.",
+             peak force. Trials with a fall have no decay time and no distance.",
         );
         let last = section.results.conditions.len() - 1;
         let caption = format!(

@@ -66,8 +66,7 @@ impl Experiment for PullSurvival {
             "Sustained pulls survived, by force",
             &forces,
             &[SURVIVED.name],
-            "Sustained pulls survived while walking at 0.5 m/s, by force, over all directions: mean ± standard \
-             deviation over seeds, single seeds as hollow marks.",
+            "Sustained pulls survived while walking at 0.5 m/s, by force, over all directions.",
         );
         let directions = self.directions as usize;
         let spread = |set: usize, direction: usize| {
@@ -80,10 +79,10 @@ impl Experiment for PullSurvival {
             sets: section.by_set(|set| (0..directions).map(|direction| spread(set, direction)).collect()),
         };
         let title = "Sustained pulls survived, by direction";
-        let svg =
-            polar::draw(title, &[panel], &section.results.names, "survived [%], mean over all forces", Scales::Own);
+        let axis = "survived [%], mean over all forces";
+        let svg = polar::draw(title, &[panel], &section.results.names, axis, Scales::Percent);
         let caption = "Sustained pulls survived while walking at 0.5 m/s, by the direction they pull to, over all \
-                       forces: mean and ± standard deviation over seeds.";
+                       forces: mean and ± standard deviation over seeds, cut off at 0 and 100 %.";
         section.figure("directions", caption, svg);
     }
 }

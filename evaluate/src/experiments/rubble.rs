@@ -69,8 +69,8 @@ impl Experiment for Rubble {
             "",
             "Success and velocity error among blocks and mats",
             &["success", "crossed", "velocity_error_m_s"],
-            "Over wooden blocks and soft mats, by the largest height of the blocks: mean ± standard deviation over \
-             seeds, single seeds as hollow marks. The velocity error is of trials that got across.",
+            "Over wooden blocks and soft mats, by the largest height of the blocks. The velocity error is of trials that \
+             got across.",
         );
         let (all, text) = (section.all(), "Among wooden blocks and soft mats, compliant policies fall less often");
         section.claim(text, "superior", "success", Expected::Higher, &all);

@@ -163,7 +163,7 @@ impl Experiment for Walk {
             "Velocity error and power by command",
             &["velocity_error_m_s", "power_w"],
             "Velocity error and mechanical power without disturbance, by command (forward and left in m/s, turn to \
-             the left in rad/s): mean ± standard deviation over seeds, single seeds as hollow marks.",
+             the left in rad/s).",
         );
         section.notes(std::iter::once(mean_error_note(results)).chain(self.warnings(results)));
     }

@@ -61,10 +61,11 @@ impl Panel {
         svg.outline(&[[left, top], [right, top], [right, bottom], [left, bottom]], Stroke::new(GREY, 1.0));
     }
 
-    /// Draws a title above the panel.
+    /// Draws a title above the panel, in smaller letters if it would be wider than the panel.
     pub fn draw_title(&self, svg: &mut Svg, title: &str) {
         let centre = self.corner[0] + 0.5 * self.size[0];
-        svg.text([centre, self.corner[1] - 9.0], title, Text { bold: true, ..Text::new(LARGE, Anchor::Middle) });
+        let size = LARGE.min(self.size[0] / (0.68 * title.chars().count() as f64));
+        svg.text([centre, self.corner[1] - 9.0], title, Text { bold: true, ..Text::new(size, Anchor::Middle) });
     }
 }
 
