@@ -215,6 +215,11 @@ impl PolicySets {
         ));
     }
 
+    /// Returns the name of a policy: that of its set and, if this has several, its seed.
+    pub fn member_name(set: &PolicySet, member: &SetMember) -> String {
+        if set.members.len() == 1 { set.name.clone() } else { format!("{}-seed{}", set.name, member.seed) }
+    }
+
     /// Returns all policies with their sets.
     pub fn members(&self) -> impl Iterator<Item = (&PolicySet, &SetMember)> {
         self.sets.iter().flat_map(|set| set.members.iter().map(move |member| (set, member)))

@@ -83,7 +83,7 @@ struct Fall<'a> {
 
 impl Fall<'_> {
     fn draw(&self) -> Result<Film, FilmError> {
-        let Part { experiment, policies, sensing } = self.part;
+        let Part { experiment, policies, sensing, .. } = self.part;
         let (info, condition) = (experiment.info(), &experiment.conditions().map_err(RunError::from)?[self.condition]);
         let member = &policies.sets[0].members[0];
         let seed = trial::trial_seed(member.seed, info.number, self.condition, self.trial as u32);

@@ -18,7 +18,7 @@ use crate::measurement_store::MeasurementStore;
 use crate::policy_sets::{PolicySet, PolicySetError, PolicySets, SetMember};
 use crate::protocol::Protocol;
 use crate::results::{PolicyResult, Results};
-use crate::runner::{self, Measurement, RunError};
+use crate::runner::{self, Measurement, ON_SENSORS, RunError};
 use crate::trial::{Sample, TrialEnd};
 use crate::{Condition, Experiment};
 use supple::estimate::contact::{ContactNetwork, RATE_HZ};
@@ -211,6 +211,8 @@ pub struct Part<'a> {
     pub policies: &'a PolicySets,
     /// The state that the policies act on.
     pub sensing: Sensing,
+    /// How the robots are played, for the names of jobs; empty on the true state.
+    pub way: &'static str,
 }
 
 /// An examination: the policies and the protocol.
@@ -274,7 +276,12 @@ impl Exam {
         // A test grades every discipline.
         let experiment = experiment.unwrap_or_else(|| panic!("no experiment {name}"));
         let policies = if way == Way::Losses { &self.with_losses } else { &self.nominal };
-        Part { experiment, policies, sensing: if way == Way::Sensors { Sensing::Estimated } else { Sensing::True } }
+        let (sensing, way) = match way {
+            Way::Nominal => (Sensing::True, ""),
+            Way::Sensors => (Sensing::Estimated, ON_SENSORS),
+            Way::Losses => (Sensing::True, " with joint losses"),
+        };
+        Part { experiment, policies, sensing, way }
     }
 
     /// Grades all policies from the kept measurements; a discipline that was not measured has no trials.
@@ -287,7 +294,7 @@ impl Exam {
         for discipline in DISCIPLINES {
             let mut scores = vec![Score::default(); names.len()];
             for (name, way, pass) in self.playable(discipline) {
-                let Part { experiment, policies, sensing } = self.part(name, *way);
+                let Part { experiment, policies, sensing, .. } = self.part(name, *way);
                 let Some(Measurement { results, .. }) = runner::finished(experiment, policies, store, sensing)? else {
                     continue;
                 };

@@ -283,7 +283,7 @@ pub(super) fn write(path: &Path, bytes: &[u8]) -> Result<(), ReportError> {
 }
 
 /// Returns a duration in words.
-fn duration(seconds: f64) -> String {
+pub fn duration(seconds: f64) -> String {
     match seconds.round() as u64 {
         seconds @ 0..60 => format!("{seconds} s"),
         seconds @ 60..3600 => format!("{} min {} s", seconds / 60, seconds % 60),
