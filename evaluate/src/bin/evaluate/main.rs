@@ -121,8 +121,8 @@ fn examine(policy: &Path, args: &Args) -> anyhow::Result<()> {
     }
     progress::run(&jobs)?;
     let examination = exam.grade(&store)?;
-    let film = exam.worst_fall(&store).unwrap_or_else(|error| {
-        terminal::note(format_args!("note: no film of the worst fall: {error}"));
+    let film = exam.first_fall(&store).unwrap_or_else(|error| {
+        terminal::note(format_args!("note: no film of a fall: {error}"));
         None
     });
     let mut options = vec!["--exam".to_owned(), shell_word(policy)];
