@@ -304,7 +304,7 @@ impl Experiment for CommandedCompliance {
                     if_empty: if is_played {
                         "no pull without a fall"
                     } else {
-                        "not played: compliances not supported"
+                        "not played: not calibrated for these compliances"
                     },
                     set,
                     ..Curve::default()

@@ -60,16 +60,12 @@ pub fn draw(title: &str, curves: &[Curve], x_label: &str, y_label: &str) -> Stri
 
 fn draw_curve(svg: &mut Svg, panel: &Panel, curve: &Curve) {
     let line = |column: usize| curve.points.iter().map(move |point| panel.at([point[0], point[column]]));
-    if let [[x, mean, least, largest]] = curve.points[..] {
-        svg.line(panel.at([x, least]), panel.at([x, largest]), Stroke::new(colour(curve.set), 2.0));
-        draw_mark(svg, panel.at([x, mean]), curve.set, 4.2, true);
-    } else if curve.points.is_empty() {
+    if curve.points.is_empty() {
         let middle = [panel.corner[0] + 0.5 * panel.size[0], panel.corner[1] + 0.5 * panel.size[1]];
-        return svg.text(
-            middle,
-            curve.if_empty,
-            Text { colour: GREY, rimmed: true, ..Text::new(SMALL, Anchor::Middle) },
-        );
+        // Without grid lines behind it.
+        let width = 6.4 * curve.if_empty.chars().count() as f64;
+        svg.rectangle([middle[0] - 0.5 * width, middle[1] - 14.0], [width, 20.0], "white");
+        return svg.text(middle, curve.if_empty, Text { colour: GREY, ..Text::new(SMALL, Anchor::Middle) });
     }
     let band: Vec<_> = line(3).chain(line(2).rev()).collect();
     svg.area(&[&band], colour(curve.set), BAND);
@@ -86,7 +82,12 @@ fn draw_curve(svg: &mut Svg, panel: &Panel, curve: &Curve) {
     if panel.x[0] <= 0.0 {
         svg.line(panel.at([0.0, panel.y[0]]), panel.at([0.0, panel.y[1]]), Stroke::new(GREY, 1.0));
     }
-    svg.polyline(&line(1).collect::<Vec<_>>(), Stroke::new(colour(curve.set), 2.0));
+    if let [[x, mean, least, largest]] = curve.points[..] {
+        svg.line(panel.at([x, least]), panel.at([x, largest]), Stroke::new(colour(curve.set), 2.0));
+        draw_mark(svg, panel.at([x, mean]), curve.set, 4.2, true);
+    } else {
+        svg.polyline(&line(1).collect::<Vec<_>>(), Stroke::new(colour(curve.set), 2.0));
+    }
     if let Some((time, label)) = &curve.mark {
         let top = panel.at([*time, panel.y[1]]);
         svg.line(panel.at([*time, panel.y[0]]), top, Stroke::new(INK, 1.3).dashed("5 3"));
