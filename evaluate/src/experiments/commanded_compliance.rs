@@ -184,7 +184,7 @@ impl Experiment for CommandedCompliance {
             number: 14,
             name: "calibration",
             title: "Compliance as commanded",
-            paper: "not in the paper",
+            paper: "",
             method: "The robot has a commanded compliance, standing and walking at 0.5 m/s, and is pulled by constant \
                      horizontal forces from all around. The compliance is the mean of (v − v*)·F/|F|² over the last \
                      seconds of the pull. Lines are fitted to each policy's means over all directions, over the \
@@ -290,8 +290,7 @@ impl Experiment for CommandedCompliance {
                         "With a commanded compliance while {gait}, both sets yield{axis} as commanded: {words}"
                     );
                     let verdict = if fails { Verdict::Fails } else { Verdict::from_bound(bound, &comparison) };
-                    let paper = format!("none; ours: < {bound}");
-                    section.content.claims.push(Claim { text, paper, quantity, comparison, verdict });
+                    section.content.claims.push(Claim { text, paper: String::new(), quantity, comparison, verdict });
                 }
             }
             for (set, name) in results.names.iter().enumerate() {

@@ -274,7 +274,7 @@ impl Experiment for Felt {
             number: 18,
             name: "felt",
             title: "What the robot feels",
-            paper: "not in the paper",
+            paper: "",
             method: "The robot feels the force on its trunk from joints, motors and IMU. Felt and true force, both in the \
                      heading frame and low-passed over 0.1 s, are compared in the horizontal plane: while a pull is \
                      steady (from half a second after its start), and for a second after a push or blow. Where nothing \
@@ -354,8 +354,8 @@ impl Experiment for Felt {
                 section.notes([format!("{place}, on sensors: {label} {found} N; aim: < {on_sensors} N.")]);
             }
             let verdict = Verdict::from_bound(bound, &comparison);
-            let (text, paper) = (format!("{place}, {text} below {bound} N"), format!("none; ours: < {bound} N"));
-            section.content.claims.push(Claim { text, paper, quantity, comparison, verdict });
+            let text = format!("{place}, {text} below {bound} N");
+            section.content.claims.push(Claim { text, paper: String::new(), quantity, comparison, verdict });
         }
         let rows = located.iter().flat_map(|(role, group)| {
             let of = if is_pulled(*role) { 0..OF_PULLS } else { OF_PULLS..OF_PULLS + 3 };

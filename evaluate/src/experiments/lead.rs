@@ -30,7 +30,7 @@ impl Experiment for Lead {
             number: 17,
             name: "lead",
             title: "Led by the leash",
-            paper: "not in the paper",
+            paper: "",
             method: "A person holding a leash walks beside the robot at its command and after 2 s walks away at 0.5 \
                      m/s, in world-fixed directions all around. Leash and arm are a spring of 200 N/m with 20 N·s/m \
                      that pulls the trunk's centre of mass in that direction and never pushes. A robot of compliance \

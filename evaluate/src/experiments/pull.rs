@@ -31,7 +31,7 @@ impl Experiment for PullSurvival {
             number: 15,
             name: "pull",
             title: "Sustained pulls",
-            paper: "not in the paper",
+            paper: "",
             method: "Walking at 0.5 m/s, the robot is pulled by a constant horizontal force on its trunk for some \
                      seconds, in directions all around; the force keeps its direction in the world. It survives if it \
                      has not fallen by the end of the pull.",
