@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use crate::measurement_store::MeasurementStore;
-use crate::policy_sets::{PolicySet, PolicySetError, PolicySets, SetMember};
+use crate::policy_sets::{PolicySet, PolicySetError, PolicySets, SetMember, Training};
 use crate::protocol::Protocol;
 use crate::results::{PolicyResult, Results};
 use crate::runner::{self, Measurement, ON_SENSORS, RunError};
@@ -195,6 +195,8 @@ pub struct Grade {
 pub struct Examination {
     /// The names of the policies: the examined one first.
     pub names: Vec<String>,
+    /// How the policies were trained.
+    pub training: Vec<Training>,
     /// The grades in the order of the disciplines.
     pub grades: Vec<Grade>,
     /// Notes about the policies, and about what was not played.
@@ -305,7 +307,8 @@ impl Exam {
             }
             grades.push(Grade { discipline: discipline.name, scores });
         }
-        Ok(Examination { names, grades, notes: self.notes.clone(), faults: faults.into_iter().collect() })
+        let (training, notes) = (self.nominal.training(), self.notes.clone());
+        Ok(Examination { names, training, grades, notes, faults: faults.into_iter().collect() })
     }
 }
 

@@ -9,6 +9,7 @@ pub(crate) mod html;
 mod markdown;
 pub mod other_reports;
 mod summary;
+pub mod text;
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -17,11 +18,12 @@ use std::path::{Path, PathBuf};
 
 use self::other_reports::OtherReport;
 use super::plot::png::{RenderError, Renderer};
-use super::policy_sets::{PolicySets, SetMember};
+use super::policy_sets::PolicySets;
 use super::results::EndCounts;
 use super::runner::Measurement;
 use super::section_content::{Figure, SectionContent, Table};
 use super::sensing::SensingComparison;
+use super::statistics::Verdict;
 use super::{Experiment, ExperimentInfo};
 use supple::util::files;
 
@@ -141,10 +143,8 @@ pub struct Report<'a> {
     pub other_reports: Vec<OtherReport>,
 }
 
-/// Returns the number of training samples of a policy as text.
-fn samples_text(member: &SetMember) -> String {
-    member.samples().map_or("–".to_owned(), |samples| format!("{:.1} M", samples as f64 / 1e6))
-}
+/// What stands above claims that all lack a verdict on their difference.
+const TOO_FEW: &str = "No difference has a verdict: each has fewer than five pairs of seeds, too few to tell.";
 
 impl<'a> Report<'a> {
     /// Creates a report without experiments.
@@ -168,6 +168,13 @@ impl<'a> Report<'a> {
             self.notes.append(&mut section.content.notes);
         }
         self.sections.push(section);
+    }
+
+    /// Returns true if every difference that a verdict could be about has too few pairs of seeds.
+    fn has_too_few_pairs(&self) -> bool {
+        let claims = || self.sections.iter().flat_map(|section| &section.content.claims);
+        let judged = [Verdict::AsExpected, Verdict::NoEffect, Verdict::Alike, Verdict::Opposite];
+        claims().any(|claim| claim.verdict == Verdict::TooFew) && !claims().any(|claim| judged.contains(&claim.verdict))
     }
 
     /// Returns the time that all trials took, including those of E12 \[s\].

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 use serde_json::Value;
 
+use super::markdown::Rows;
 use super::{Report, summary};
 use crate::Quantity;
 use crate::section_content::{NOTHING, difference, number, percent};
@@ -145,7 +146,7 @@ impl OtherReport {
 }
 
 /// Returns the column titles and rows of the table: each claim, here and in the other reports.
-pub fn table(report: &Report) -> (Vec<String>, Vec<Vec<String>>) {
+pub fn table(report: &Report) -> Rows {
     let columns =
         ["experiment", "claim", "here"].into_iter().chain(report.other_reports.iter().map(|other| &*other.name));
     let of_section = |section: &super::Section| {

@@ -11,13 +11,14 @@ use args::{Args, MOST_NAME, label};
 use clap::Parser;
 use supple::scenario::Sensing;
 use supple::util::files::Target;
+use supple::util::progress::columns;
 use supple::util::terminal::{self, shell_word};
 use supple_evaluate::exam::{Exam, Part, page};
 use supple_evaluate::measurement_store::MeasurementStore;
 use supple_evaluate::policy_sets::PolicySets;
 use supple_evaluate::protocol::Protocol;
 use supple_evaluate::report::other_reports::OtherReport;
-use supple_evaluate::report::{CommandLine, Report, Section};
+use supple_evaluate::report::{CommandLine, Report, Section, text};
 use supple_evaluate::runner::{self, Measurement, ON_SENSORS, Settings};
 
 fn main() -> ExitCode {
@@ -88,7 +89,8 @@ fn run(args: &Args) -> anyhow::Result<()> {
         failed.extend(report.write_document(path)?);
     }
     failed.iter().for_each(|error| terminal::note(format_args!("warning: {}", terminal::complaint(error))));
-    terminal::print(format_args!("{}\n", args.out.join("report.html").display()))?;
+    let claims = text::claims(&report, columns(std::io::stdout()));
+    terminal::print(format_args!("{claims}\n{}\n", args.out.join("report.html").display()))?;
     match faults.split_last() {
         None => Ok(()),
         Some((last, others)) => {
@@ -130,7 +132,11 @@ fn examine(policy: &Path, args: &Args) -> anyhow::Result<()> {
     options.extend(["--out".to_owned(), shell_word(&args.out)]);
     let command = CommandLine { experiments: Vec::new(), options };
     page::save(&examination, film.as_ref(), &command.text(None), &args.out)?;
-    terminal::print(format_args!("{}{}\n", page::text(&examination), args.out.join("exam.html").display()))?;
+    terminal::print(format_args!(
+        "{}\n{}\n",
+        page::text(&examination, columns(std::io::stdout())),
+        args.out.join("exam.html").display()
+    ))?;
     match &examination.faults[..] {
         [] => Ok(()),
         faults => anyhow::bail!("{}", faults.join("\n")),
