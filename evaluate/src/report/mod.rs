@@ -14,7 +14,7 @@ pub mod text;
 use std::collections::BTreeSet;
 use std::fs;
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use self::other_reports::OtherReport;
 use super::plot::png::{RenderError, Renderer};
@@ -25,19 +25,14 @@ use super::section_content::{Figure, SectionContent, Table};
 use super::sensing::SensingComparison;
 use super::statistics::Verdict;
 use super::{Experiment, ExperimentInfo};
-use supple::util::files;
+use supple::util::files::{self, FileError};
 
 /// The reason why a report was not written.
 #[derive(Debug, thiserror::Error)]
 pub enum ReportError {
     /// A file cannot be written.
-    #[error("cannot write {}: {source}", path.display())]
-    Write {
-        /// The file.
-        path: PathBuf,
-        /// The system's reason.
-        source: io::Error,
-    },
+    #[error("cannot write the {0}")]
+    Write(#[from] FileError),
     /// A figure cannot be rendered as PNG.
     #[error("figure {name}: {source}")]
     Figure {
@@ -196,13 +191,12 @@ impl<'a> Report<'a> {
         let mut failed = Vec::new();
         let (figures, tables) = (out.join("figures"), out.join("tables"));
         for folder in [&*figures, &*tables, out] {
-            let of = |source| ReportError::Write { path: folder.to_owned(), source };
-            fs::create_dir_all(folder).and_then(|()| files::clear_temporaries(folder)).map_err(of)?;
+            fs::create_dir_all(folder).and_then(|()| files::clear_temporaries(folder)).map_err(fail(folder))?;
         }
         let no_sensing = self.sensing.experiments.is_empty().then_some("sensing");
         for name in self.missing.iter().map(|info| info.name).chain(no_sensing) {
             for folder in [&figures, &tables] {
-                remove_outdated(name, folder).map_err(|source| ReportError::Write { path: folder.clone(), source })?;
+                remove_outdated(name, folder).map_err(fail(folder))?;
             }
         }
         let renderer = Renderer::default();
@@ -243,7 +237,7 @@ impl<'a> Report<'a> {
         let images = path.with_file_name("images");
         let renderer = Renderer::default();
         for figure in self.figures_of_document() {
-            fs::create_dir_all(&images).map_err(|source| ReportError::Write { path: images.clone(), source })?;
+            fs::create_dir_all(&images).map_err(fail(&images))?;
             failed.extend(write_png(&renderer, figure, &images)?);
         }
         write(path, markdown::document(self).as_bytes())?;
@@ -286,7 +280,12 @@ fn remove_outdated(experiment: &str, folder: &Path) -> io::Result<()> {
 }
 
 pub(super) fn write(path: &Path, bytes: &[u8]) -> Result<(), ReportError> {
-    files::write_atomically(path, bytes).map_err(|source| ReportError::Write { path: path.to_owned(), source })
+    Ok(files::write_atomically(path, bytes).map_err(fail(path))?)
+}
+
+/// Returns a function that creates the error of a file or folder of the report.
+fn fail(path: &Path) -> impl Fn(io::Error) -> FileError {
+    FileError::of("report", path)
 }
 
 /// Returns a duration in words.
