@@ -7,7 +7,7 @@ use super::push;
 use crate::plot::curves::{self, Curve};
 use crate::plot::polar::evenly;
 use crate::results::Results;
-use crate::section_content::{Claim, Row, Table};
+use crate::section_content::{Claim, Row};
 use crate::statistics::{Comparison, PerSeed, Spread, Verdict, mean};
 use crate::trial::TrialEnd;
 use supple::robot::GRAVITY_M_S2;
@@ -310,11 +310,9 @@ impl Experiment for CommandedCompliance {
                 });
             }
         }
-        let name = format!("{}-lines", self.info().name);
         let caption =
-            "Lines fitted to the measured over the commanded compliance: mean over all directions, forward and left."
-                .to_owned();
-        section.content.tables.push(Table { name, caption, rows, in_page: true });
+            "Lines fitted to the measured over the commanded compliance: mean over all directions, forward and left.";
+        section.add_table("lines", caption, rows, true);
         let pushed: Vec<usize> = (self.pulls(self.commands_m_s.len()).start..results.conditions.len()).collect();
         let pushes: Vec<ConditionGroup> = pushed
             .iter()

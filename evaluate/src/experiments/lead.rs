@@ -70,12 +70,11 @@ impl Experiment for Lead {
         section.table_in_file("all", "Led by a leash at 0.5 m/s, by direction.");
         section.polar(
             "",
-            "Leash tension while a person walks away, by direction",
+            "Leash tension while a person walks away at 0.5 m/s, by the direction they walk to",
             ("mean_tension_n", "mean tension [N]"),
-            &groups,
+            (&groups, self.directions),
             Scales::Shared,
-            "Mean leash tension while a person walks away at 0.5 m/s, by the direction they walk to: mean and ± \
-             standard deviation over seeds. Trials with a fall have none.",
+            "Trials with a fall have none.",
         );
     }
 }

@@ -2,8 +2,7 @@
 
 use super::leash::pulls;
 use super::prelude::*;
-use crate::plot::polar::{self, Polar, Scales};
-use crate::statistics::Spread;
+use crate::plot::polar::Scales;
 
 const SURVIVED: Quantity = Quantity::new("survived", "survived", "%", 0);
 const QUANTITIES: &[Quantity] = &[SURVIVED];
@@ -63,26 +62,19 @@ impl Experiment for PullSurvival {
         section.table_in_file("all", "Sustained pulls survived, by force and direction.");
         section.grouped_dots(
             "",
-            "Sustained pulls survived, by force",
+            "Sustained pulls survived while walking at 0.5 m/s, by force, over all directions",
             &forces,
             &[SURVIVED.name],
-            "Sustained pulls survived while walking at 0.5 m/s, by force, over all directions.",
+            "",
         );
-        let directions = self.directions as usize;
-        let spread = |set: usize, direction: usize| {
-            let conditions: Vec<usize> = forces.iter().map(|force| force.conditions[direction]).collect();
-            Spread::from_values(&section.results.per_seed_over(set, &conditions, SURVIVED.name))
-                .map(|spread| spread.times(SURVIVED.scale()))
-        };
-        let panel = Polar {
-            title: String::new(),
-            sets: section.by_set(|set| (0..directions).map(|direction| spread(set, direction)).collect()),
-        };
-        let title = "Sustained pulls survived, by direction";
-        let axis = "survived [%], mean over all forces";
-        let svg = polar::draw(title, &[panel], &section.results.names, axis, Scales::Percent);
-        let caption = "Sustained pulls survived while walking at 0.5 m/s, by the direction they pull to, over all \
-                       forces: mean and ± standard deviation over seeds, cut off at 0 and 100 %.";
-        section.figure("directions", caption, svg);
+        let all = ConditionGroup { name: String::new(), conditions: section.all() };
+        section.polar(
+            "directions",
+            "Sustained pulls survived while walking at 0.5 m/s, by the direction they pull to",
+            (SURVIVED.name, "survived [%], mean over all forces"),
+            (&[all], self.directions),
+            Scales::Percent,
+            "The band is cut off at 0 and 100 %.",
+        );
     }
 }

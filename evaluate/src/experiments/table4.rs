@@ -99,9 +99,8 @@ impl Experiment for Table4 {
             panel("torque norm", "N·m", ["torque_before_n_m", "torque_after_n_m"]),
         ];
         let labels = ["before", "after"].map(|when| format!("{} s {when}", brief(self.window_s)));
-        let title = "Power and torque before and after a push";
-        let caption = "Mechanical power and torque norm before and after a sideways push of 0.5 m/s.";
-        section.panels("", title, &panels, &labels, caption);
+        let title = "Mechanical power and torque norm before and after a sideways push of 0.5 m/s";
+        section.panels("", title, &panels, &labels, "");
         for (text, paper, quantity) in [
             ("After a push, compliant policies use less power", "140.9 / 166.9 W (−15 %)", "power_after_w"),
             ("After a push, compliant policies use less torque", "25.8 / 27.4 N·m (−6 %)", "torque_sum_after_n_m"),
