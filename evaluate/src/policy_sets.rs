@@ -164,18 +164,22 @@ impl PolicySets {
         names: &[String],
         also: &[(String, PathBuf)],
     ) -> Result<Self, PolicySetError> {
-        let (mut files, mut notes) = (vec![Vec::new(); names.len()], Vec::new());
+        let (mut files, mut left_out) = (vec![Vec::new(); names.len()], Vec::new());
         for file in all {
             match names.iter().enumerate().find_map(|(set, name)| Some((set, seed_of(name, &file)?))) {
                 Some((set, seed)) => files[set].push((Some(seed), file)),
-                None => notes.push(format!("{} was left out: its name belongs to neither set", name_of(&file))),
+                None => left_out.push(file),
             }
         }
         let set = |(name, files): (&String, _)| {
             PolicySet::load(name, folder, files, None, || format!("{name}-seedN.safetensors (or .yaml), N a number"))
         };
         let further = also.iter().map(|(name, path)| PolicySet::from_path(name, path));
-        Ok(Self::new(names.iter().zip(files).map(set).chain(further).collect::<Result<_, _>>()?, notes))
+        let sets = names.iter().zip(files).map(set).chain(further).collect::<Result<Vec<_>, _>>()?;
+        let is_read = |file: &PathBuf| sets.iter().flat_map(|set| &set.members).any(|member| member.file == *file);
+        left_out.retain(|file| !is_read(file));
+        let note = |file: &PathBuf| format!("{} was left out: its name belongs to neither set", name_of(file));
+        Ok(Self::new(sets, left_out.iter().map(note).collect()))
     }
 
     /// Reads sets by name and path.

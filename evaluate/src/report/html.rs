@@ -105,6 +105,7 @@ fn claims(report: &Report) -> Markup {
 /// Returns the style of a cell of a claim in one of the columns, of which `last` has the verdict.
 fn claim_class(column: usize, last: usize, claim: &Claim) -> Option<&'static str> {
     match (column, claim.verdict) {
+        (1, _) => Some("claim"),
         (..=2, _) => None,
         (column, _) if column < last => Some("number"),
         (_, Verdict::AsExpected | Verdict::Holds) => Some("yes"),

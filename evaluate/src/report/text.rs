@@ -14,7 +14,10 @@ const INDENT: usize = 6;
 pub fn claims(report: &Report, width: usize) -> String {
     let (columns, rows) = markdown::claim_rows(report);
     let numbers = |row: &Vec<String>| [&row[3..row.len() - 2], &row[row.len() - 1..]].concat();
-    let numbers: Vec<_> = std::iter::once(&columns).chain(&rows).map(numbers).collect();
+    // Intervals are not broken, and verdicts are without their reasons.
+    let short = |cell: &String| cell.split(':').next().unwrap_or_default().replace(", ", ",\u{a0}");
+    let short = |row: &Vec<String>| numbers(row).iter().map(short).collect();
+    let numbers: Vec<_> = std::iter::once(numbers(&columns)).chain(rows.iter().map(short)).collect();
     let mut numbers = laid_out(&numbers, width.saturating_sub(INDENT)).into_iter();
     let head = numbers.next().into_iter().flatten();
     let mut text = if report.has_too_few_pairs() { format!("{}\n\n", super::TOO_FEW) } else { String::new() };
@@ -25,7 +28,7 @@ pub fn claims(report: &Report, width: usize) -> String {
             text.push_str(&format!("{id:<INDENT$}{line}\n"));
         }
     }
-    text
+    text.replace('\u{a0}', " ")
 }
 
 /// Returns rows as a table without its empty columns, in lines of at most `width` characters. Cells that do not fit are broken
