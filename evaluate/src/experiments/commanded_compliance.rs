@@ -200,33 +200,19 @@ impl Experiment for CommandedCompliance {
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let (leash, push): (Leash, PushTrunk) = (defaults("leash")?, defaults("push")?);
+        let duration_s = self.at_s + self.for_s;
+        let pull = |forward_m_s: f64, compliance: f64, force_n: f64, direction_deg: f64| {
+            let task = Task { forward_m_s, compliance: Some(compliance), duration_s, ..leash.task.clone() };
+            let (c, force) = (brief(compliance), brief(force_n));
+            let label = format!("{}, c = {c}, {force} N, {direction_deg:.0}°", gait(forward_m_s));
+            let scenario = Leash { task, force_n, direction_deg, at_s: self.at_s, for_s: self.for_s };
+            Condition { label, scenario: Scenario::Leash(scenario) }
+        };
         let mut conditions = Vec::new();
         for command in &self.commands_m_s {
             for compliance in &self.compliances {
                 for force_n in &self.forces_n {
-                    for direction_deg in evenly(self.directions) {
-                        let task = Task {
-                            forward_m_s: *command,
-                            compliance: Some(*compliance),
-                            duration_s: self.at_s + self.for_s,
-                            ..leash.task.clone()
-                        };
-                        conditions.push(Condition {
-                            label: format!(
-                                "{}, c = {}, {} N, {direction_deg:.0}°",
-                                gait(*command),
-                                brief(*compliance),
-                                brief(*force_n)
-                            ),
-                            scenario: Scenario::Leash(Leash {
-                                task,
-                                force_n: *force_n,
-                                direction_deg,
-                                at_s: self.at_s,
-                                for_s: self.for_s,
-                            }),
-                        });
-                    }
+                    conditions.extend(evenly(self.directions).map(|side| pull(*command, *compliance, *force_n, side)));
                 }
             }
         }

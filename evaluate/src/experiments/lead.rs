@@ -54,10 +54,8 @@ impl Experiment for Lead {
     }
 
     fn report(&self, section: &mut SectionBuilder) {
-        let groups = ConditionGroup::from_names(
-            self.commands_m_s.iter().map(|command| gait(*command).to_owned()),
-            section.results,
-        );
+        let names = self.commands_m_s.iter().map(|command| gait(*command).to_owned());
+        let groups = ConditionGroup::from_names(names, section.results);
         for ConditionGroup { name, conditions } in &groups {
             for (quantity, words) in
                 [("mean_tension_n", "follow with a lower tension (mean over directions)"), ("fell", "fall less often")]
