@@ -28,13 +28,8 @@ pub enum RunError {
         source: TrialError,
     },
     /// The results cannot be written.
-    #[error("cannot write the results of experiment {experiment}: {source}")]
-    Store {
-        /// The name of the experiment.
-        experiment: &'static str,
-        /// The file and the reason.
-        source: FileError,
-    },
+    #[error("cannot write the {0}")]
+    Store(#[from] FileError),
     /// A scenario file inside the program is invalid.
     #[error(transparent)]
     Config(#[from] ConfigError),
@@ -158,22 +153,20 @@ impl Job<'_> {
     /// A trial cannot be played, or the results cannot be written.
     pub fn run(&self, progress: &(dyn Fn(Update) + Sync)) -> Result<bool, RunError> {
         let Job { experiment, conditions, member, settings, key, .. } = self;
-        let name = experiment.info().name;
-        let store = |source| RunError::Store { experiment: name, source };
         let waits = |other: &str| progress(Update::Waits(other.to_owned()));
         let is_there = || !settings.again && settings.store.read(*experiment, key).is_some();
-        let lock =
-            if is_there() { None } else { Some(settings.store.lock_experiment(*experiment, waits).map_err(store)?) };
+        let lock = if is_there() { None } else { Some(settings.store.lock_experiment(*experiment, waits)?) };
         if lock.is_none() || is_there() {
             progress(Update::Played(self.work));
             return Ok(false);
         }
         let start = Instant::now();
-        let samples = play_all(*experiment, conditions, member, settings, progress).map_err(|source| {
-            RunError::Trial { experiment: name, policy: member.file.display().to_string(), source }
-        })?;
-        let wall_s = start.elapsed().as_secs_f64();
-        settings.store.write(*experiment, key, member, wall_s, samples).map_err(store)?;
+        let fail = |source| {
+            let (experiment, policy) = (experiment.info().name, member.file.display().to_string());
+            RunError::Trial { experiment, policy, source }
+        };
+        let samples = play_all(*experiment, conditions, member, settings, progress).map_err(fail)?;
+        settings.store.write(*experiment, key, member, start.elapsed().as_secs_f64(), samples)?;
         Ok(true)
     }
 }
