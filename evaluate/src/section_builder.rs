@@ -141,7 +141,7 @@ impl<'a> SectionBuilder<'a> {
 
     /// Adds a figure of panels. Its caption is the title, what `more` there is to say, and what the marks are.
     pub fn panels(&mut self, part: &str, title: &str, panels: &[Dots], labels: &[String], more: &str) {
-        let marks = match self.results.sets.iter().any(|set| set.len() > 1) {
+        let marks = match self.has_several_seeds() {
             true if panels.iter().any(|panel| panel.quantity.unit == "%") => {
                 "Mean ± standard deviation over seeds, cut off at 0 and 100 %; single seeds as hollow marks."
             }
@@ -174,7 +174,12 @@ impl<'a> SectionBuilder<'a> {
         };
         let panels: Vec<Polar> = groups.iter().map(panel).collect();
         let svg = polar::draw(title, &panels, &self.results.names, axis, scales);
-        self.figure(part, format!("{title}: mean ± standard deviation over seeds. {more}"), svg);
+        let spread = if self.has_several_seeds() { ": mean ± standard deviation over seeds" } else { "" };
+        self.figure(part, format!("{title}{spread}. {more}"), svg);
+    }
+
+    fn has_several_seeds(&self) -> bool {
+        self.results.sets.iter().any(|set| set.len() > 1)
     }
 
     /// Adds the points of a figure's lines, as a file.
