@@ -49,7 +49,9 @@ fn main() {
         .allowlist_function(
             "supple_.*|mj_(deleteModel|deleteData|deleteVFS|defaultVFS|freeLastXML|name2id|id2name|version)",
         )
-        .allowlist_type("Supple.*|mjModel|mjData|mjVFS|mjContact|mjt(Obj|Warning|Geom|Joint|Constraint|Trn|Bias)_?")
+        .allowlist_type(
+            "Supple.*|mjModel|mjData|mjVFS|mjContact|mjt(Obj|Warning|Geom|Joint|Constraint|Trn|Bias|Cone)_?",
+        )
         .allowlist_var("mjVERSION_HEADER|mjNGAIN|mjNIMP|SUPPLE_ERROR_SIZE")
         .default_enum_style(bindgen::EnumVariation::Consts)
         .prepend_enum_name(false)

@@ -46,7 +46,7 @@ pub struct ExperimentInfo {
     pub name: &'static str,
     /// The title in the report.
     pub title: &'static str,
-    /// The paper's figure, table or section that shows it.
+    /// The paper's figure, table or section that shows it; empty if none does.
     pub paper: &'static str,
     /// A description of how it is measured.
     pub method: &'static str,

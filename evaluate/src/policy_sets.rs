@@ -8,10 +8,12 @@ the runs `runs/fast-seed0` and so on. `policies/baseline@0.03` also sets the com
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
+use serde::Serialize;
 use supple::policy::compliance::{ComplianceError, split_compliance};
 use supple::policy::{Agent, AgentError, Provenance, shipped};
 use supple::robot::Losses;
 use supple::util::files;
+use supple::util::numbers::short;
 
 /// The configuration keys, or their beginnings, that affect the trials of a policy.
 const TRIAL_KEYS: [&str; 4] = ["simulation.", "robot.", "episode.min_height_m", "randomisation.default_friction"];
@@ -90,6 +92,42 @@ pub struct PolicySet {
     pub members: Vec<SetMember>,
 }
 
+/// What a reader has to know of the training of a set before its numbers. Policy files do not have the time it took.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Training {
+    /// The name of the set.
+    pub set: String,
+    /// The seeds of its policies.
+    pub seeds: Vec<u64>,
+    /// The names of the configurations.
+    pub configurations: BTreeSet<String>,
+    /// The numbers of samples, which are steps of an environment; none for external policies.
+    pub samples: BTreeSet<u64>,
+}
+
+impl Training {
+    fn new(set: &PolicySet) -> Self {
+        Training {
+            set: set.name.clone(),
+            seeds: set.members.iter().map(|member| member.seed).collect(),
+            configurations: set.members.iter().map(|member| member.config_name().to_owned()).collect(),
+            samples: set.members.iter().filter_map(SetMember::samples).collect(),
+        }
+    }
+
+    /// Returns the number of samples in millions, from the least to the largest; none if it is unknown.
+    pub fn millions(&self) -> Option<String> {
+        let [least, largest] = [self.samples.first()?, self.samples.last()?].map(|samples| millions(*samples));
+        Some(if least == largest { least } else { format!("{least} to {largest}") })
+    }
+}
+
+/// Returns a number of samples in millions.
+pub fn millions(samples: u64) -> String {
+    let steps_of = if samples < 1_000_000 { 1e3 } else { 1e5 };
+    short((samples as f64 / steps_of).round() * steps_of / 1e6)
+}
+
 /// All sets of policies, with notes for the reader of the report.
 #[derive(Debug)]
 pub struct PolicySets {
@@ -126,18 +164,22 @@ impl PolicySets {
         names: &[String],
         also: &[(String, PathBuf)],
     ) -> Result<Self, PolicySetError> {
-        let (mut files, mut notes) = (vec![Vec::new(); names.len()], Vec::new());
+        let (mut files, mut left_out) = (vec![Vec::new(); names.len()], Vec::new());
         for file in all {
             match names.iter().enumerate().find_map(|(set, name)| Some((set, seed_of(name, &file)?))) {
                 Some((set, seed)) => files[set].push((Some(seed), file)),
-                None => notes.push(format!("{} was left out: its name belongs to neither set", name_of(&file))),
+                None => left_out.push(file),
             }
         }
         let set = |(name, files): (&String, _)| {
             PolicySet::load(name, folder, files, None, || format!("{name}-seedN.safetensors (or .yaml), N a number"))
         };
         let further = also.iter().map(|(name, path)| PolicySet::from_path(name, path));
-        Ok(Self::new(names.iter().zip(files).map(set).chain(further).collect::<Result<_, _>>()?, notes))
+        let sets = names.iter().zip(files).map(set).chain(further).collect::<Result<Vec<_>, _>>()?;
+        let is_read = |file: &PathBuf| sets.iter().flat_map(|set| &set.members).any(|member| member.file == *file);
+        left_out.retain(|file| !is_read(file));
+        let note = |file: &PathBuf| format!("{} was left out: its name belongs to neither set", name_of(file));
+        Ok(Self::new(sets, left_out.iter().map(note).collect()))
     }
 
     /// Reads sets by name and path.
@@ -191,7 +233,10 @@ impl PolicySets {
                 }
             }
         }
-        let keys = differing_keys(&sets);
+        // It may explain more than all that follows.
+        notes.splice(0..0, unequal_samples(&sets));
+        let policies = PolicySets { sets, notes: Vec::new() };
+        let keys: Vec<String> = policies.differing_keys().into_iter().collect();
         if !keys.is_empty() {
             notes.push(format!(
                 "the policies were not trained alike: their configurations differ in {}",
@@ -204,7 +249,21 @@ impl PolicySets {
                 notes.push(format!("each policy is evaluated with its own {}", tried.join(", ")));
             }
         }
-        PolicySets { sets, notes }
+        PolicySets { notes, ..policies }
+    }
+
+    /// Returns what a reader has to know of each set.
+    pub fn training(&self) -> Vec<Training> {
+        self.sets.iter().map(Training::new).collect()
+    }
+
+    /// Returns the keys in which the configurations of Supple's policies differ: neither the compared one, the recovery stage, nor
+    /// the learner's arithmetic, for `docs/training.md` states that all give the same but for rounding.
+    pub fn differing_keys(&self) -> BTreeSet<String> {
+        let mut configs = self.members().filter_map(|(_, member)| Some(&member.provenance()?.config));
+        let Some(first) = configs.next() else { return BTreeSet::new() };
+        let keys = configs.flat_map(|config| first.differences(config)).map(|(key, _)| key);
+        keys.filter(|key| !["episode.recovery_stage", "ppo.precision"].contains(&key.as_str())).collect()
     }
 
     /// Sets the joint losses of all robots.
@@ -216,6 +275,11 @@ impl PolicySets {
             "all robots have joints with {} N m of friction and {} N m s/rad of damping",
             losses.friction_n_m, losses.damping_n_m_s_per_rad
         ));
+    }
+
+    /// Returns the name of a policy: that of its set and, if this has several, its seed.
+    pub fn member_name(set: &PolicySet, member: &SetMember) -> String {
+        if set.members.len() == 1 { set.name.clone() } else { format!("{}-seed{}", set.name, member.seed) }
     }
 
     /// Returns all policies with their sets.
@@ -323,14 +387,17 @@ fn pair_single_policies(sets: &mut [PolicySet]) -> Vec<String> {
     notes
 }
 
-/// Returns the keys in which the configurations of Supple's policies differ, except the compared one, the recovery stage.
-fn differing_keys(sets: &[PolicySet]) -> Vec<String> {
-    let members = sets.iter().flat_map(|set| &set.members);
-    let mut configs = members.filter_map(|member| Some(&member.provenance()?.config));
-    let Some(first) = configs.next() else { return Vec::new() };
-    let keys = configs.flat_map(|config| first.differences(config));
-    let keys: BTreeSet<String> = keys.map(|(key, _)| key).collect();
-    keys.into_iter().filter(|key| key != "episode.recovery_stage").collect()
+/// Returns a note about numbers of samples; none if they differ by no more than an iteration or so.
+fn unequal_samples(sets: &[PolicySet]) -> Option<String> {
+    let trained: Vec<Training> = sets.iter().map(Training::new).filter(|set| !set.samples.is_empty()).collect();
+    let all = || trained.iter().flat_map(|set| set.samples.iter().copied());
+    let [least, largest] = [all().min()?, all().max()?];
+    let [first, others @ ..] = &trained[..] else { return None };
+    let of_other = |set: &Training| Some(format!(", {} {} million", set.set, set.millions()?));
+    let others: String = others.iter().filter_map(of_other).collect();
+    let (name, own) = (&first.set, first.millions()?);
+    let is_unequal = largest as f64 > 1.05 * least as f64;
+    is_unequal.then(|| format!("{name} has {own} million samples{others}: differences may come from that"))
 }
 
 /// Returns the name of a file without its folder.

@@ -6,6 +6,7 @@ use super::Condition;
 pub use super::experiments::Protocol;
 use supple::config::{Config, ConfigError};
 use supple::scenario::catalog::{ParameterError, ScriptError, in_range};
+use supple::util::files::FileError;
 use supple::util::yaml::{Text, YamlError, layered};
 
 /// The text of the full protocol.
@@ -21,13 +22,8 @@ pub const EXAM: &str = include_str!("../../configs/evaluation/exam.yaml");
 #[derive(Debug, thiserror::Error)]
 pub enum ProtocolError {
     /// The file cannot be read.
-    #[error("cannot read protocol {path}: {source}")]
-    Read {
-        /// The file.
-        path: String,
-        /// The system's reason.
-        source: std::io::Error,
-    },
+    #[error("cannot read {0}")]
+    Read(#[from] FileError),
     /// The text is not YAML, a key is unknown or missing, or a value has another type.
     #[error("protocol {0}")]
     Parse(#[from] YamlError),
@@ -93,7 +89,7 @@ impl Protocol {
     }
 
     fn read(path: &Path) -> Result<Text, ProtocolError> {
-        Text::read(path).map_err(|source| ProtocolError::Read { path: path.display().to_string(), source })
+        Ok(Text::read(path).map_err(FileError::of("protocol", path))?)
     }
 
     fn parse(layers: &[Text]) -> Result<Self, ProtocolError> {

@@ -81,11 +81,6 @@ impl Results {
         self.sets[set].iter().filter_map(of_seed).collect()
     }
 
-    /// Compares the sets in one condition.
-    pub fn compare(&self, condition: usize, quantity: &str) -> Comparison {
-        self.compare_over(&[condition], quantity)
-    }
-
     /// Compares the sets by each policy's mean over conditions of the mean over trials.
     pub fn compare_over(&self, conditions: &[usize], quantity: &str) -> Comparison {
         let sets = (0..self.sets.len()).map(|set| self.numbers(set, self.per_seed_over(set, conditions, quantity)));
@@ -95,7 +90,7 @@ impl Results {
     /// Returns "N of M directions": the first set's number is larger in N of the M directions that have pairs of seeds.
     pub fn larger_in(&self, directions: &[usize], quantity: &str) -> String {
         let differences: Vec<f64> =
-            directions.iter().filter_map(|c| Some(self.compare(*c, quantity).difference?.value)).collect();
+            directions.iter().filter_map(|c| Some(self.compare_over(&[*c], quantity).difference?.value)).collect();
         let larger = differences.iter().filter(|difference| **difference > 0.0).count();
         format!("{larger} of {} directions", differences.len())
     }
@@ -239,8 +234,8 @@ mod tests {
             let second = policy.remove(1);
             policy[0].extend(second);
         }
-        assert_eq!(results.compare(0, "decay_10_s").sets[1].by_seed[&0], 2.0);
-        assert_eq!(results.compare(0, "fell").sets[0].by_seed[&0], 0.5);
+        assert_eq!(results.compare_over(&[0], "decay_10_s").sets[1].by_seed[&0], 2.0);
+        assert_eq!(results.compare_over(&[0], "fell").sets[0].by_seed[&0], 0.5);
     }
 
     #[test]

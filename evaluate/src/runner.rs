@@ -6,7 +6,7 @@ use std::time::Instant;
 use rayon::prelude::*;
 
 use super::measurement_store::{self, MeasurementStore};
-use super::policy_sets::{PolicySet, PolicySets, SetMember};
+use super::policy_sets::{PolicySets, SetMember};
 use super::results::{PolicyResult, Results};
 use super::trial::{self, Sample, TrialError};
 use super::{Condition, Experiment};
@@ -28,26 +28,33 @@ pub enum RunError {
         source: TrialError,
     },
     /// The results cannot be written.
-    #[error("cannot write the results of experiment {experiment}: {source}")]
-    Store {
-        /// The name of the experiment.
-        experiment: &'static str,
-        /// The file and the reason.
-        source: FileError,
-    },
+    #[error("cannot write the {0}")]
+    Store(#[from] FileError),
     /// A scenario file inside the program is invalid.
     #[error(transparent)]
     Config(#[from] ConfigError),
 }
 
+/// Trials to play or played, and their cost.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Work {
+    /// The number of trials.
+    pub trials: u64,
+    /// The cost of all of them \[seconds of simulated time\].
+    pub cost_s: f64,
+}
+
 /// An event while an experiment is measured.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Update {
-    /// A trial of this cost was played \[seconds of simulated time\].
-    Played(f64),
+    /// Trials were played, by this process or by another.
+    Played(Work),
     /// Another process measures the experiment: this one waits for it. The text says which one it is.
     Waits(String),
 }
+
+/// The words in the name of a job whose robots act on their sensors.
+pub const ON_SENSORS: &str = " on sensors";
 
 /// The settings of measurements.
 #[derive(Debug, Clone)]
@@ -71,23 +78,45 @@ pub struct Measurement {
     pub revisions: BTreeSet<String>,
 }
 
-/// Returns the cost of the trials of an experiment that are not measured yet \[seconds of simulated time\].
+/// The trials of one policy in one experiment that are not measured yet.
+pub struct Job<'a> {
+    /// The text that no other job of a report has: `E1 push-grid on sensors, real-seed1`.
+    pub name: String,
+    /// The trials.
+    pub work: Work,
+    experiment: &'a dyn Experiment,
+    conditions: Vec<Condition>,
+    member: &'a SetMember,
+    settings: &'a Settings,
+    key: String,
+}
+
+/// Returns the jobs of an experiment, one for each policy whose trials are not measured yet. `way` says in their names how the
+/// robots are played.
 ///
 /// # Errors
 /// A scenario file inside the program is invalid, which a test rules out.
-pub fn remaining_work(
-    experiment: &dyn Experiment,
-    policies: &PolicySets,
-    settings: &Settings,
-) -> Result<f64, RunError> {
-    let conditions = experiment.conditions()?;
-    let of_policy = f64::from(experiment.info().trials) * conditions.iter().map(|c| c.scenario.cost()).sum::<f64>();
-    let missing = |(_, member): &(&PolicySet, &SetMember)| {
+pub fn jobs<'a>(
+    experiment: &'a dyn Experiment,
+    policies: &'a PolicySets,
+    settings: &'a Settings,
+    way: &str,
+) -> Result<Vec<Job<'a>>, RunError> {
+    let (info, conditions) = (experiment.info(), experiment.conditions()?);
+    let cost_s = f64::from(info.trials) * conditions.iter().map(|c| c.scenario.cost()).sum::<f64>();
+    let work = Work { trials: u64::from(info.trials) * conditions.len() as u64, cost_s };
+    let mut jobs: Vec<Job> = Vec::new();
+    for (set, member) in policies.members() {
         let key = measurement_store::key(experiment, &conditions, member, settings.sensing);
-        settings.again || settings.store.read(experiment, &key).is_none()
-    };
-    let policies = policies.members().filter(missing).count();
-    Ok(of_policy * policies as f64)
+        // A policy that two sets have is measured once.
+        if !jobs.iter().any(|job| job.key == key) && (settings.again || settings.store.read(experiment, &key).is_none())
+        {
+            let name = format!("{} {}{way}, {}", info.id, info.name, PolicySets::member_name(set, member));
+            let conditions = conditions.clone();
+            jobs.push(Job { name, work, experiment, conditions, member, settings, key });
+        }
+    }
+    Ok(jobs)
 }
 
 /// Returns the results of an experiment; none if some are not measured yet.
@@ -117,38 +146,29 @@ pub fn finished(
     Ok(Some(Measurement { results, wall_s, revisions }))
 }
 
-/// Measures an experiment with each policy for which the store has no measurement, and reports its progress.
-///
-/// # Errors
-/// A trial cannot be played, or the results cannot be written.
-pub fn measure(
-    experiment: &dyn Experiment,
-    policies: &PolicySets,
-    settings: &Settings,
-    progress: &(dyn Fn(Update) + Sync),
-) -> Result<(), RunError> {
-    let (name, conditions) = (experiment.info().name, experiment.conditions()?);
-    let store = |source| RunError::Store { experiment: name, source };
-    for (_, member) in policies.members() {
-        let key = measurement_store::key(experiment, &conditions, member, settings.sensing);
-        let is_there = || !settings.again && settings.store.read(experiment, &key).is_some();
-        if is_there() {
-            continue;
-        }
+impl Job<'_> {
+    /// Plays the trials and keeps their numbers; returns false if another process has measured them meanwhile.
+    ///
+    /// # Errors
+    /// A trial cannot be played, or the results cannot be written.
+    pub fn run(&self, progress: &(dyn Fn(Update) + Sync)) -> Result<bool, RunError> {
+        let Job { experiment, conditions, member, settings, key, .. } = self;
         let waits = |other: &str| progress(Update::Waits(other.to_owned()));
-        let _lock = settings.store.lock_experiment(experiment, waits).map_err(store)?;
-        // Another process may have measured it meanwhile.
-        if is_there() {
-            continue;
+        let is_there = || !settings.again && settings.store.read(*experiment, key).is_some();
+        let lock = if is_there() { None } else { Some(settings.store.lock_experiment(*experiment, waits)?) };
+        if lock.is_none() || is_there() {
+            progress(Update::Played(self.work));
+            return Ok(false);
         }
         let start = Instant::now();
-        let samples = play_all(experiment, &conditions, member, settings, progress).map_err(|source| {
-            RunError::Trial { experiment: name, policy: member.file.display().to_string(), source }
-        })?;
-        let wall_s = start.elapsed().as_secs_f64();
-        settings.store.write(experiment, &key, member, wall_s, samples).map_err(store)?;
+        let fail = |source| {
+            let (experiment, policy) = (experiment.info().name, member.file.display().to_string());
+            RunError::Trial { experiment, policy, source }
+        };
+        let samples = play_all(*experiment, conditions, member, settings, progress).map_err(fail)?;
+        settings.store.write(*experiment, key, member, start.elapsed().as_secs_f64(), samples)?;
+        Ok(true)
     }
-    Ok(())
 }
 
 /// Plays all trials of one policy, shape (conditions, trials). If several fail, it returns the error of the first of them.
@@ -162,7 +182,7 @@ fn play_all(
     let trials = experiment.info().trials as usize;
     let play = |index: usize| {
         let sample = trial::play_at(index, experiment, conditions, member.seed, &member.agent, settings.sensing)?;
-        progress(Update::Played(conditions[index / trials].scenario.cost()));
+        progress(Update::Played(Work { trials: 1, cost_s: conditions[index / trials].scenario.cost() }));
         Ok(sample)
     };
     // All are played: which of them fails first would depend on the threads.

@@ -85,7 +85,8 @@ impl<'a> SectionBuilder<'a> {
         self.add_table("", caption, rows, true);
     }
 
-    fn add_table(&mut self, part: &str, caption: &str, rows: Vec<Row>, in_page: bool) -> &mut Table {
+    /// Adds a table of these rows, to the page too if it is `in_page`.
+    pub fn add_table(&mut self, part: &str, caption: &str, rows: Vec<Row>, in_page: bool) -> &mut Table {
         let (name, index) = (self.named(part), self.content.tables.len());
         self.content.tables.push(Table { name, caption: caption.to_owned(), rows, in_page });
         &mut self.content.tables[index]
@@ -114,9 +115,9 @@ impl<'a> SectionBuilder<'a> {
     }
 
     /// Adds a figure of quantities by condition, with a panel for each quantity.
-    pub fn dots(&mut self, part: &str, title: &str, quantities: &[&str], caption: &str) {
+    pub fn dots(&mut self, part: &str, title: &str, quantities: &[&str], more: &str) {
         let conditions = ConditionGroup::from_names(self.labels().into_iter(), self.results);
-        self.grouped_dots(part, title, &conditions, quantities, caption);
+        self.grouped_dots(part, title, &conditions, quantities, more);
     }
 
     /// Adds a figure of quantities by group of conditions, with a panel for each quantity.
@@ -126,7 +127,7 @@ impl<'a> SectionBuilder<'a> {
         title: &str,
         groups: &[ConditionGroup],
         quantities: &[&str],
-        caption: &str,
+        more: &str,
     ) {
         let panel = |name: &&str| {
             let row =
@@ -135,28 +136,50 @@ impl<'a> SectionBuilder<'a> {
         };
         let panels: Vec<Dots> = quantities.iter().map(panel).collect();
         let labels: Vec<String> = groups.iter().map(|group| group.name.clone()).collect();
-        let svg = dots::draw(title, &panels, &labels, &self.results.names);
-        self.figure(part, caption, svg);
+        self.panels(part, title, &panels, &labels, more);
     }
 
-    /// Adds a figure of a quantity by direction, with a panel for each group of directions, which divide the circle evenly.
+    /// Adds a figure of panels. Its caption is the title, what `more` there is to say, and what the marks are.
+    pub fn panels(&mut self, part: &str, title: &str, panels: &[Dots], labels: &[String], more: &str) {
+        let marks = match self.has_several_seeds() {
+            true if panels.iter().any(|panel| panel.quantity.unit == "%") => {
+                "Mean ± standard deviation over seeds, cut off at 0 and 100 %; single seeds as hollow marks."
+            }
+            true => "Mean ± standard deviation over seeds; single seeds as hollow marks.",
+            false => "Each mark is the mean over the trials of one policy.",
+        };
+        let svg = dots::draw(title, panels, labels, &self.results.names);
+        self.figure(part, format!("{title}. {more} {marks}").replace("  ", " "), svg);
+    }
+
+    /// Adds a figure of a quantity by direction, with a panel for each group. The conditions of a group are in the order of the
+    /// `directions`, which divide the circle evenly, once or several times. The caption is the title and what `more` there is to say.
     pub fn polar(
         &mut self,
         part: &str,
         title: &str,
         (quantity, axis): (&str, &str),
-        groups: &[ConditionGroup],
+        (groups, directions): (&[ConditionGroup], u32),
         scales: Scales,
-        caption: impl Into<String>,
+        more: &str,
     ) {
-        let spread = |set, condition: &usize| Spread::from_values(&self.results.per_seed(set, *condition, quantity));
+        let (directions, scale) = (directions as usize, self.results.quantity(quantity).scale());
+        let spread = |set, group: &ConditionGroup, direction| {
+            let at: Vec<usize> = group.conditions.iter().copied().skip(direction).step_by(directions).collect();
+            Spread::from_values(&self.results.per_seed_over(set, &at, quantity)).map(|spread| spread.times(scale))
+        };
         let panel = |group: &ConditionGroup| Polar {
             title: group.name.clone(),
-            sets: self.by_set(|set| group.conditions.iter().map(|condition| spread(set, condition)).collect()),
+            sets: self.by_set(|set| (0..directions).map(|direction| spread(set, group, direction)).collect()),
         };
         let panels: Vec<Polar> = groups.iter().map(panel).collect();
         let svg = polar::draw(title, &panels, &self.results.names, axis, scales);
-        self.figure(part, caption, svg);
+        let spread = if self.has_several_seeds() { ": mean ± standard deviation over seeds" } else { "" };
+        self.figure(part, format!("{title}{spread}. {more}"), svg);
+    }
+
+    fn has_several_seeds(&self) -> bool {
+        self.results.sets.iter().any(|set| set.len() > 1)
     }
 
     /// Adds the points of a figure's lines, as a file.

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 
 use serde_json::Value;
-use supple::config::Config;
+use supple::config::{Config, Precision};
 use supple::policy::Policy;
 use supple::policy::compliance::{Point, PolicyCalibration};
 use supple_evaluate::experiments::Protocol;
@@ -129,7 +129,10 @@ fn examination_grades_a_policy_beside_the_references() {
             assert!(baseline["passed"].as_u64() > Some(0), "{grade}");
         }
     }
+    let samples = |set: usize| exam["training"][set]["samples"][0].as_u64();
+    assert!(samples(0) == Some(0) && samples(1) > Some(1_000_000), "{exam}");
     let page = read("exam.html");
+    assert!(page.contains("<td>0 M</td>"), "{page}");
     // The note about the policies is no fault.
     let note = "the contact network was not trained on how mine";
     assert!(notes.contains(note) && page.contains(note) && exam["notes"].to_string().contains(note), "{notes}");
@@ -139,7 +142,7 @@ fn examination_grades_a_policy_beside_the_references() {
     // A film, or a note that says why there is none; it is as wide as its six pictures.
     match std::fs::read(folder.path().join("exam/fall.png")) {
         Ok(png) => assert_eq!((&png[16..24], page.contains("fall.png")), (&[0, 0, 7, 128, 0, 0, 0, 240][..], true)),
-        Err(_) => assert!(notes.contains("no film of the worst fall: cannot draw a picture"), "{notes}"),
+        Err(_) => assert!(notes.contains("no film of a fall: cannot draw a picture"), "{notes}"),
     }
 }
 
@@ -354,6 +357,7 @@ fn check_page(page: &Path, drawn: &BTreeSet<String>) {
     assert!(!console.contains("CONSOLE"), "{console}");
     let found = dom.split_once("<pre id=\"found\">").unwrap().1.split_once("</pre>").unwrap().0;
     let found: Value = serde_json::from_str(found).unwrap_or_else(|_| panic!("{found}"));
+    assert!(found["narrow"].as_u64().unwrap() <= 390, "the page is {} px wide on a phone", found["narrow"]);
     let figures = found["figures"].as_array().unwrap();
     let names = figures.iter().map(|figure| figure["name"].as_str().unwrap().to_owned());
     assert_eq!(&names.collect::<BTreeSet<_>>(), drawn);
@@ -437,7 +441,10 @@ fn missing_seed_is_left_out_of_differences_only() {
     let mut config = Config::load("compliant").unwrap();
     config.episode.recovery_stage = false;
     config.ppo.epochs = 7;
-    let baseline = zero_policy(config);
+    // Which arithmetic computed the same numbers is no difference.
+    config.ppo.precision = Precision::Mixed;
+    let mut baseline = zero_policy(config);
+    baseline.provenance.samples = 60_006_400;
     let folder = folder_with(&[
         ("compliant-seed0.safetensors", standing_policy()),
         ("compliant-seed3.safetensors", standing_policy()),
@@ -451,12 +458,15 @@ fn missing_seed_is_left_out_of_differences_only() {
     assert!(notes.contains("no policy of seed 3") && notes.contains("other.safetensors was left out"), "{notes}");
     assert!(notes.contains("not trained alike") && notes.contains("configurations differ in ppo.epochs\""), "{notes}");
     assert!(notes.contains("compliant, seeds 0 and 3, are one policy"), "{notes}");
+    let samples = "compliant has 0 million samples, baseline 60 million: differences may come from that";
+    assert_eq!((&summary["notes"][0], &summary["training"][1]["samples"][0]), (&samples.into(), &60_006_400.into()));
+    assert_eq!(summary["differing_keys"], serde_json::json!(["ppo.epochs"]));
     assert!(notes.contains("compliant, seed 3, was trained with seed 0"), "{notes}");
     let power = row(experiment(&summary, "walk"), "walk", "forward 0.5", "power_w");
     assert_eq!(power["sets"]["compliant"]["by_seed"].as_object().unwrap().len(), 2);
     assert_eq!(power["difference"], serde_json::json!({"value": 0.0, "interval": null, "pairs": 1}));
     let page = std::fs::read_to_string(folder.path().join("report/report.html")).unwrap();
-    assert!(page.contains("no policy of seed 3"));
+    assert!(page.contains("no policy of seed 3") && page.contains("<td>60 M</td>"), "{page}");
 
     // With another set in the same folder, figures of experiments that it has not run are removed.
     let figure = folder.path().join("report/figures/walk.png");
@@ -642,6 +652,13 @@ fn faults_are_named_and_end_with_two() {
     // Twenty trials of two commands.
     assert!(words.contains("experiment walk: 40 of 40 trials of mine ended in a fault"), "{words}");
     assert!(words.contains("FR_hip is NaN"), "{words}");
+    // A line for each policy, with what is left.
+    let lines: Vec<&str> = words.lines().filter(|line| line.starts_with("E0 walk, ")).collect();
+    assert!(lines[0].starts_with("E0 walk, mine: 40 trials in ") && lines[0].contains("; 40 trials left, "), "{words}");
+    assert!(lines[1].starts_with("E0 walk, ours: 40 trials in ") && !lines[1].contains("left"), "{words}");
+    let table = String::from_utf8(output.stdout).unwrap();
+    assert!(table.contains("Walking") && table.contains("does not hold for"), "{table}");
+    assert!(table.lines().all(|line| line.chars().count() <= 80), "{table}");
     let walk = summary(folder, "report");
     let walk = experiment(&walk, "walk");
     assert_eq!((&walk["trials"]["mine"]["faults"], &walk["trials"]["ours"]["faults"]), (&40.into(), &0.into()));

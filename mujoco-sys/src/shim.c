@@ -87,10 +87,6 @@ int supple_step1(const mjModel* m, mjData* d, char* error) { GUARDED(mj_step1(m,
 
 int supple_step2(const mjModel* m, mjData* d, char* error) { GUARDED(mj_step2(m, d)); }
 
-int supple_contact_force(const mjModel* m, const mjData* d, int id, mjtNum* result, char* error) {
-  GUARDED(mj_contactForce(m, d, id, result));
-}
-
 int supple_object_velocity(const mjModel* m, const mjData* d, int objtype, int objid, mjtNum* res,
                            int flg_local, char* error) {
   GUARDED(mj_objectVelocity(m, d, objtype, objid, res, flg_local));

@@ -26,7 +26,6 @@ int supple_reset_data(const mjModel* m, mjData* d, char* error);
 int supple_step(const mjModel* m, mjData* d, char* error);
 int supple_step1(const mjModel* m, mjData* d, char* error);
 int supple_step2(const mjModel* m, mjData* d, char* error);
-int supple_contact_force(const mjModel* m, const mjData* d, int id, mjtNum* result, char* error);
 int supple_object_velocity(const mjModel* m, const mjData* d, int objtype, int objid, mjtNum* res,
                            int flg_local, char* error);
 // Recursive Newton-Euler: qfrc_inverse from qpos, qvel and qacc, without armature, passive, actuator and constraint forces.

@@ -313,25 +313,26 @@ impl Data {
     /// # Panics
     /// There is no contact of this index.
     pub fn contact_force(&self, index: usize) -> [f64; 3] {
-        assert!(index < self.contact_count(), "contact {index} out of range");
-        let (mut in_contact, mut message) = ([0.0; 6], EMPTY_MESSAGE);
-        // SAFETY: model and data belong together, the index was checked, the result holds 6 numbers.
-        let failed = unsafe {
-            sys::supple_contact_force(
-                self.model.as_ptr(),
-                self.raw.as_ptr(),
-                index as i32,
-                in_contact.as_mut_ptr(),
-                message.as_mut_ptr(),
-            )
+        let contact = &self.slice(self.raw().contact, self.contact_count())[index];
+        // The address is negative for contacts without a force.
+        let address = usize::try_from(contact.efc_address).unwrap_or(usize::MAX);
+        let Some(rows) = self.slice(self.raw().efc_force, self.raw().nefc as usize).get(address..) else {
+            return [0.0; 3];
         };
-        if failed != 0 {
-            return [f64::NAN; 3];
+        // Along the normal and the two tangents; the turning parts of larger cones are no force.
+        let (mut in_contact, tangents) = ([0.0; 3], contact.dim as usize - 1);
+        if tangents == 0 || self.model.has_elliptic_cones() {
+            let parts = in_contact.len().min(contact.dim as usize);
+            in_contact[..parts].copy_from_slice(&rows[..parts]);
+        } else {
+            // A pyramid has two edges for each tangent.
+            in_contact[0] = rows[..2 * tangents].iter().fold(0.0, |sum, edge| sum + edge);
+            for k in 0..tangents.min(2) {
+                in_contact[k + 1] = (rows[2 * k] - rows[2 * k + 1]) * contact.friction[k];
+            }
         }
-        // SAFETY: `index` is below `ncon`.
-        let frame = unsafe { (*self.raw().contact.add(index)).frame };
         // Rows of `frame` are the contact axes in the world, the first along the normal from geom 1 to geom 2.
-        std::array::from_fn(|k| (0..3).map(|axis| frame[3 * axis + k] * in_contact[axis]).sum())
+        std::array::from_fn(|k| (0..3).map(|axis| contact.frame[3 * axis + k] * in_contact[axis]).sum())
     }
 
     /// Returns the force with which a tendon at its maximum length pulls its ends together \[N\]; zero while it is

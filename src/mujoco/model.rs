@@ -373,6 +373,11 @@ impl Model {
         self.raw().opt.timestep
     }
 
+    /// Returns true if friction cones are elliptic, false if they are pyramids.
+    pub(crate) fn has_elliptic_cones(&self) -> bool {
+        self.raw().opt.cone == sys::mjCONE_ELLIPTIC as i32
+    }
+
     /// Lets only those geometries touch that the scene names in pairs.
     pub(crate) fn collide_pairs_only(&mut self) {
         // SAFETY: the model is valid and `self` is borrowed mutably.

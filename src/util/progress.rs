@@ -1,6 +1,7 @@
 //! Progress bars that fit any terminal and show the remaining time once it can be estimated.
 
 use std::fmt::Write;
+use std::os::fd::AsFd;
 
 pub use indicatif::{MultiProgress, ProgressBar};
 use indicatif::{ProgressDrawTarget, ProgressState, ProgressStyle};
@@ -16,7 +17,7 @@ pub fn progress(steps: u64) -> ProgressBar {
     let draw = |state: &ProgressState, out: &mut dyn Write| {
         let left_s = Some(state.eta().as_secs()).filter(|left_s| *left_s > 0);
         // Writing into a line cannot fail.
-        let _ = out.write_str(&gauge(columns(), state.fraction(), left_s));
+        let _ = out.write_str(&gauge(columns(std::io::stderr()), state.fraction(), left_s));
     };
     match ProgressStyle::with_template("{gauge}{wide_msg}") {
         Ok(style) => bar.with_style(style.with_key("gauge", draw)),
@@ -24,9 +25,9 @@ pub fn progress(steps: u64) -> ProgressBar {
     }
 }
 
-/// Returns the number of columns of the terminal; 80 without one.
-fn columns() -> usize {
-    tcgetwinsize(std::io::stderr()).map_or(80, |size| usize::from(size.ws_col)).max(1)
+/// Returns the number of columns of the terminal that a stream writes to; 80 without one.
+pub fn columns(stream: impl AsFd) -> usize {
+    tcgetwinsize(stream).map_or(80, |size| usize::from(size.ws_col)).max(1)
 }
 
 /// Formats the part of a line of `columns` before the message; `left_s` is the remaining time \[s\], once it is known.

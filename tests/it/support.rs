@@ -47,9 +47,9 @@ pub fn zero_policy(config: Config) -> Policy {
     let robot = Robot::load(&config.robot.model).unwrap();
     let provenance = Provenance {
         config_name: "compliant".into(),
-        config,
         seed: 0,
-        samples: 0,
+        samples: config.run.samples,
+        config,
         git_revision: "test".into(),
         mujoco_version: "2.2.2".into(),
     };

@@ -1,4 +1,4 @@
-//! A film strip of the worst fall: the trial is played again and drawn by MuJoCo, without a screen.
+//! A film strip of a fall: the trial is played again and drawn by MuJoCo, without a screen.
 
 use resvg::tiny_skia::{ColorU8, Pixmap};
 
@@ -53,7 +53,7 @@ impl Exam {
     ///
     /// # Errors
     /// The trial cannot be played, or nothing can be drawn here (the error says what to install).
-    pub fn worst_fall(&self, store: &MeasurementStore) -> Result<Option<Film>, FilmError> {
+    pub fn first_fall(&self, store: &MeasurementStore) -> Result<Option<Film>, FilmError> {
         let mut worst: Option<(f64, Fall<'_>)> = None;
         for (name, way, _) in DISCIPLINES.iter().flat_map(|discipline| self.playable(discipline)) {
             let part = self.part(name, *way);
@@ -83,7 +83,7 @@ struct Fall<'a> {
 
 impl Fall<'_> {
     fn draw(&self) -> Result<Film, FilmError> {
-        let Part { experiment, policies, sensing } = self.part;
+        let Part { experiment, policies, sensing, .. } = self.part;
         let (info, condition) = (experiment.info(), &experiment.conditions().map_err(RunError::from)?[self.condition]);
         let member = &policies.sets[0].members[0];
         let seed = trial::trial_seed(member.seed, info.number, self.condition, self.trial as u32);

@@ -15,10 +15,10 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use crate::measurement_store::MeasurementStore;
-use crate::policy_sets::{PolicySet, PolicySetError, PolicySets, SetMember};
+use crate::policy_sets::{PolicySet, PolicySetError, PolicySets, SetMember, Training};
 use crate::protocol::Protocol;
 use crate::results::{PolicyResult, Results};
-use crate::runner::{self, Measurement, RunError};
+use crate::runner::{self, Measurement, ON_SENSORS, RunError};
 use crate::trial::{Sample, TrialEnd};
 use crate::{Condition, Experiment};
 use supple::estimate::contact::{ContactNetwork, RATE_HZ};
@@ -195,6 +195,8 @@ pub struct Grade {
 pub struct Examination {
     /// The names of the policies: the examined one first.
     pub names: Vec<String>,
+    /// How the policies were trained.
+    pub training: Vec<Training>,
     /// The grades in the order of the disciplines.
     pub grades: Vec<Grade>,
     /// Notes about the policies, and about what was not played.
@@ -211,6 +213,8 @@ pub struct Part<'a> {
     pub policies: &'a PolicySets,
     /// The state that the policies act on.
     pub sensing: Sensing,
+    /// How the robots are played, for the names of jobs; empty on the true state.
+    pub way: &'static str,
 }
 
 /// An examination: the policies and the protocol.
@@ -274,7 +278,12 @@ impl Exam {
         // A test grades every discipline.
         let experiment = experiment.unwrap_or_else(|| panic!("no experiment {name}"));
         let policies = if way == Way::Losses { &self.with_losses } else { &self.nominal };
-        Part { experiment, policies, sensing: if way == Way::Sensors { Sensing::Estimated } else { Sensing::True } }
+        let (sensing, way) = match way {
+            Way::Nominal => (Sensing::True, ""),
+            Way::Sensors => (Sensing::Estimated, ON_SENSORS),
+            Way::Losses => (Sensing::True, " with joint losses"),
+        };
+        Part { experiment, policies, sensing, way }
     }
 
     /// Grades all policies from the kept measurements; a discipline that was not measured has no trials.
@@ -287,7 +296,7 @@ impl Exam {
         for discipline in DISCIPLINES {
             let mut scores = vec![Score::default(); names.len()];
             for (name, way, pass) in self.playable(discipline) {
-                let Part { experiment, policies, sensing } = self.part(name, *way);
+                let Part { experiment, policies, sensing, .. } = self.part(name, *way);
                 let Some(Measurement { results, .. }) = runner::finished(experiment, policies, store, sensing)? else {
                     continue;
                 };
@@ -298,7 +307,8 @@ impl Exam {
             }
             grades.push(Grade { discipline: discipline.name, scores });
         }
-        Ok(Examination { names, grades, notes: self.notes.clone(), faults: faults.into_iter().collect() })
+        let (training, notes) = (self.nominal.training(), self.notes.clone());
+        Ok(Examination { names, training, grades, notes, faults: faults.into_iter().collect() })
     }
 }
 

@@ -9,8 +9,9 @@ use super::{DISCIPLINES, Examination, Grade, Score};
 use crate::plot::png::Renderer;
 use crate::plot::svg::{Anchor, Stroke, Svg, Text};
 use crate::plot::{GREY, INK, LARGE, PALE, SMALL, WIDTH, colour, shortened};
-use crate::report::html::styled;
-use crate::report::{ReportError, write};
+use crate::policy_sets::Training;
+use crate::report::html::{scrolled, sets_table, styled};
+use crate::report::{ReportError, text as plain_text, write};
 use crate::section_content::NOTHING;
 
 /// The height of a bar \[px\].
@@ -49,21 +50,22 @@ pub fn score_text(score: Score) -> String {
     format!("{:.0} % [{low:.0}, {high:.0}]", 100.0 * fraction)
 }
 
-/// Returns the scores as a table of plain text, one line for each discipline.
-pub fn text(examination: &Examination) -> String {
-    let widest = examination.names.iter().map(|name| name.chars().count()).max().unwrap_or(0).max(16);
-    let line = |first: &str, cells: Vec<String>| {
-        let cells: String = cells.iter().map(|cell| format!("  {cell:>widest$}")).collect();
-        format!("{first:<14}{cells}\n")
-    };
+/// Returns the scores as a table of plain text, one line for each discipline if `width` allows it.
+pub fn text(examination: &Examination, width: usize) -> String {
+    let row = |first: &str, cells: Vec<String>| [vec![first.to_owned()], cells].concat();
+    let millions =
+        |set: &Training| set.millions().map_or(NOTHING.to_owned(), |millions| format!("{millions} M samples"));
+    let mut rows = vec![row("", examination.names.clone())];
+    rows.push(row("trained", examination.training.iter().map(millions).collect()));
     let grades = examination.grades.iter();
-    let grades = grades.map(|grade| line(grade.discipline, grade.scores.iter().map(|s| score_text(*s)).collect()));
-    std::iter::once(line("", examination.names.clone())).chain(grades).collect()
+    rows.extend(grades.map(|it| row(it.discipline, it.scores.iter().map(|score| score_text(*score)).collect())));
+    plain_text::table(&rows, width)
 }
 
 fn page(examination: &Examination, film: Option<&Film>, figure: &str, command: &str) -> String {
     let title = format!("Examination of {}", examination.names[0]);
     let content = html! {
+        (sets_table(&examination.training))
         p {
             "The percentage of trials that each policy passes, with Wilson's 95 % interval over the trials of that one policy. All \
              policies play the same trials, in simulation. What the words mean: docs/experiments.md."
@@ -83,19 +85,17 @@ fn page(examination: &Examination, film: Option<&Film>, figure: &str, command: &
 }
 
 fn table(examination: &Examination) -> Markup {
-    html! {
-        table {
-            tr { th { "discipline" } th { "passed if" } @for name in &examination.names { th { (name) } } th { "falls" } }
-            @for (grade, discipline) in examination.grades.iter().zip(DISCIPLINES) {
-                tr {
-                    td { (grade.discipline) }
-                    td { (discipline.description) }
-                    @for score in &grade.scores { td.number { (score_text(*score)) } }
-                    td.number { (falls(grade)) }
-                }
+    scrolled(html! {
+        tr { th { "discipline" } th { "passed if" } @for name in &examination.names { th { (name) } } th { "falls" } }
+        @for (grade, discipline) in examination.grades.iter().zip(DISCIPLINES) {
+            tr {
+                td { (grade.discipline) }
+                td { (discipline.description) }
+                @for score in &grade.scores { td.number { (score_text(*score)) } }
+                td.number { (falls(grade)) }
             }
         }
-    }
+    })
 }
 
 /// Returns the numbers of falls of all policies, and the number of trials; a dash if there are none.

@@ -108,12 +108,7 @@ impl Experiment for BallPit {
 
     fn report(&self, section: &mut SectionBuilder) {
         section.table("Crossing a field of loose balls.");
-        section.dots(
-            "",
-            "Crossing a ball pit",
-            &["crossed", "fell", "stuck", "peak_foot_force_n"],
-            "Crossing a field of loose balls: mean ± standard deviation over seeds, single seeds as hollow marks.",
-        );
+        section.dots("", "Crossing a field of loose balls", &["crossed", "fell", "stuck", "peak_foot_force_n"], "");
         let all = section.all();
         let text = "Compliant policies get across the ball pit more often";
         section.claim(text, "more often", "crossed", Expected::Higher, &all);

@@ -7,7 +7,7 @@ use super::push;
 use crate::plot::curves::{self, Curve};
 use crate::plot::polar::evenly;
 use crate::results::Results;
-use crate::section_content::{Claim, Row, Table};
+use crate::section_content::{Claim, Row};
 use crate::statistics::{Comparison, PerSeed, Spread, Verdict, mean};
 use crate::trial::TrialEnd;
 use supple::robot::GRAVITY_M_S2;
@@ -184,7 +184,7 @@ impl Experiment for CommandedCompliance {
             number: 14,
             name: "calibration",
             title: "Compliance as commanded",
-            paper: "not in the paper",
+            paper: "",
             method: "The robot has a commanded compliance, standing and walking at 0.5 m/s, and is pulled by constant \
                      horizontal forces from all around. The compliance is the mean of (v − v*)·F/|F|² over the last \
                      seconds of the pull. Lines are fitted to each policy's means over all directions, over the \
@@ -200,33 +200,19 @@ impl Experiment for CommandedCompliance {
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let (leash, push): (Leash, PushTrunk) = (defaults("leash")?, defaults("push")?);
+        let duration_s = self.at_s + self.for_s;
+        let pull = |forward_m_s: f64, compliance: f64, force_n: f64, direction_deg: f64| {
+            let task = Task { forward_m_s, compliance: Some(compliance), duration_s, ..leash.task.clone() };
+            let (c, force) = (brief(compliance), brief(force_n));
+            let label = format!("{}, c = {c}, {force} N, {direction_deg:.0}°", gait(forward_m_s));
+            let scenario = Leash { task, force_n, direction_deg, at_s: self.at_s, for_s: self.for_s };
+            Condition { label, scenario: Scenario::Leash(scenario) }
+        };
         let mut conditions = Vec::new();
         for command in &self.commands_m_s {
             for compliance in &self.compliances {
                 for force_n in &self.forces_n {
-                    for direction_deg in evenly(self.directions) {
-                        let task = Task {
-                            forward_m_s: *command,
-                            compliance: Some(*compliance),
-                            duration_s: self.at_s + self.for_s,
-                            ..leash.task.clone()
-                        };
-                        conditions.push(Condition {
-                            label: format!(
-                                "{}, c = {}, {} N, {direction_deg:.0}°",
-                                gait(*command),
-                                brief(*compliance),
-                                brief(*force_n)
-                            ),
-                            scenario: Scenario::Leash(Leash {
-                                task,
-                                force_n: *force_n,
-                                direction_deg,
-                                at_s: self.at_s,
-                                for_s: self.for_s,
-                            }),
-                        });
-                    }
+                    conditions.extend(evenly(self.directions).map(|side| pull(*command, *compliance, *force_n, side)));
                 }
             }
         }
@@ -290,25 +276,29 @@ impl Experiment for CommandedCompliance {
                         "With a commanded compliance while {gait}, both sets yield{axis} as commanded: {words}"
                     );
                     let verdict = if fails { Verdict::Fails } else { Verdict::from_bound(bound, &comparison) };
-                    let paper = format!("none; ours: < {bound}");
-                    section.content.claims.push(Claim { text, paper, quantity, comparison, verdict });
+                    section.content.claims.push(Claim { text, paper: String::new(), quantity, comparison, verdict });
                 }
             }
             for (set, name) in results.names.iter().enumerate() {
+                let samples = results.sets[set].values().flat_map(|policy| &policy[self.pulls(command)]).flatten();
+                let is_played = samples.into_iter().any(|sample| sample.end != TrialEnd::OutOfReach);
                 panels.push(Curve {
                     title: format!("{name}, {}", gait(*speed)),
                     points: self.curve(results, set, command),
                     diagonal: true,
+                    if_empty: if is_played {
+                        "no pull without a fall"
+                    } else {
+                        "not played: not calibrated for these compliances"
+                    },
                     set,
                     ..Curve::default()
                 });
             }
         }
-        let name = format!("{}-lines", self.info().name);
         let caption =
-            "Lines fitted to the measured over the commanded compliance: mean over all directions, forward and left."
-                .to_owned();
-        section.content.tables.push(Table { name, caption, rows, in_page: true });
+            "Lines fitted to the measured over the commanded compliance: mean over all directions, forward and left.";
+        section.add_table("lines", caption, rows, true);
         let pushed: Vec<usize> = (self.pulls(self.commands_m_s.len()).start..results.conditions.len()).collect();
         let pushes: Vec<ConditionGroup> = pushed
             .iter()
@@ -324,8 +314,10 @@ impl Experiment for CommandedCompliance {
         let svg = curves::draw("Measured over commanded compliance", &panels, words[0], words[1]);
         section.figure(
             "",
-            "Measured over commanded compliance: mean over policies, directions and forces, and the band between the \
-             direction and force with the least and that with the largest. Dashed: the commanded compliance.",
+            "Measured over commanded compliance: mean over policies, directions and forces, and the range from the \
+             direction and force with the least to that with the largest: a band, or a bar where there is one \
+             compliance. Dashed: the commanded compliance. Policies are not played beyond the compliances that they \
+             were calibrated for (policy calibrate).",
             svg,
         );
     }

@@ -84,25 +84,13 @@ impl Experiment for Directions {
         }
         section.table_with_rows("Decay time of a push of 0.5 m/s, mean over all directions.", rows);
         section.table_in_file("all", "Decay time of a push by direction.");
-        for (part, title, axis, what) in [
-            (
-                "",
-                "Decay time of a push by direction",
-                ("decay_20_s", "decay time to 20 % [s]"),
-                "Decay time (to 20 %) of",
-            ),
-            (
-                "carried",
-                "How far a push carries by direction",
-                ("carried_m", "carried within 2 s [m]"),
-                "How far the robot is carried by",
-            ),
+        for (part, title, axis) in [
+            ("", "Decay time (to 20 %) of a push of 0.5 m/s", ("decay_20_s", "decay time to 20 % [s]")),
+            ("carried", "How far a push of 0.5 m/s carries the robot", ("carried_m", "carried within 2 s [m]")),
         ] {
-            let caption = format!(
-                "{what} a push of 0.5 m/s, by the direction it pushes to: mean and ± standard deviation over seeds. \
-                 Trials with a fall have none. The two plots differ in scale."
-            );
-            section.polar(part, title, axis, &groups, Scales::Own, caption);
+            let title = format!("{title}, by the direction it pushes to");
+            let more = "Trials with a fall have none. The two plots differ in scale.";
+            section.polar(part, &title, axis, (&groups, self.directions), Scales::Own, more);
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use super::prelude::*;
 use crate::plot::curves::{self, Curve};
-use crate::plot::polar::{self, Polar, Scales, evenly};
+use crate::plot::polar::{Scales, evenly};
 use crate::section_content::{Claim, number};
 use crate::sensing;
 use crate::statistics::{Spread, Verdict, mean};
@@ -274,7 +274,7 @@ impl Experiment for Felt {
             number: 18,
             name: "felt",
             title: "What the robot feels",
-            paper: "not in the paper",
+            paper: "",
             method: "The robot feels the force on its trunk from joints, motors and IMU. Felt and true force, both in the \
                      heading frame and low-passed over 0.1 s, are compared in the horizontal plane: while a pull is \
                      steady (from half a second after its start), and for a second after a push or blow. Where nothing \
@@ -354,8 +354,8 @@ impl Experiment for Felt {
                 section.notes([format!("{place}, on sensors: {label} {found} N; aim: < {on_sensors} N.")]);
             }
             let verdict = Verdict::from_bound(bound, &comparison);
-            let (text, paper) = (format!("{place}, {text} below {bound} N"), format!("none; ours: < {bound} N"));
-            section.content.claims.push(Claim { text, paper, quantity, comparison, verdict });
+            let text = format!("{place}, {text} below {bound} N");
+            section.content.claims.push(Claim { text, paper: String::new(), quantity, comparison, verdict });
         }
         let rows = located.iter().flat_map(|(role, group)| {
             let of = if is_pulled(*role) { 0..OF_PULLS } else { OF_PULLS..OF_PULLS + 3 };
@@ -384,47 +384,39 @@ impl Experiment for Felt {
                 Some([*force, mean(means.into_iter())?, least, largest])
             };
             let points = self.forces_n.iter().filter_map(point).collect();
-            panels.push(Curve { title: name.clone(), points, diagonal: true, set, ..Curve::default() });
+            let if_empty = "no steady pull without a fall";
+            panels.push(Curve { title: name.clone(), points, diagonal: true, set, if_empty, ..Curve::default() });
         }
         let svg = curves::draw("Felt over true force", &panels, "true force [N]", "felt along it [N]");
         section.figure(
             "",
             "Felt over true force on the trunk under steady pulls: mean over policies, commands and directions, and the \
-             band between the command and direction that feels least and the one that feels most. Dashed: equal forces.",
+             range from the command and direction that feels least to the one that feels most: a band, or a bar where \
+             there is one force. Dashed: equal forces.",
             svg,
         );
-        let directions = self.directions as usize;
-        let [standing, walking]: [Vec<usize>; 2] = [true, false].map(|stands| {
+        let by_gait = [0.0, 1.0].map(|command| {
             let is_it =
-                |condition: &usize| (results.conditions[*condition].scenario.task().forward_m_s == 0.0) == stands;
-            steady.iter().copied().filter(is_it).collect()
+                |condition: &usize| gait(results.conditions[*condition].scenario.task().forward_m_s) == gait(command);
+            let conditions = steady.iter().copied().filter(is_it).collect();
+            ConditionGroup { name: gait(command).to_owned(), conditions }
         });
-        let by_direction = [(gait(0.0), standing), (gait(1.0), walking)].map(|(title, pulls)| {
-            let spread = |set: usize, direction: usize| {
-                let at: Vec<usize> = pulls.iter().copied().skip(direction).step_by(directions).collect();
-                Spread::from_values(&results.per_seed_over(set, &at, RMSE.name))
-            };
-            let sets = section.by_set(|set| (0..directions).map(|direction| spread(set, direction)).collect());
-            Polar { title: title.to_owned(), sets }
-        });
-        let title = "Error of the felt force, by direction of the pull";
-        let svg = polar::draw(title, &by_direction, &results.names, &RMSE.axis(), Scales::Shared);
-        section.figure(
+        section.polar(
             "directions",
-            "RMSE of the felt against the true force under steady pulls, by the direction of the pull: mean over forces \
-             and commands, mean and ± standard deviation over seeds.",
-            svg,
+            "RMSE of the felt against the true force under steady pulls, by the direction of the pull",
+            (RMSE.name, &RMSE.axis()),
+            (&by_gait, self.directions),
+            Scales::Shared,
+            "Means are over forces and commands.",
         );
         let unpulled: Vec<ConditionGroup> =
             located.into_iter().filter(|(role, _)| !is_pulled(*role)).map(|(_, group)| group).collect();
         section.grouped_dots(
             "unpulled",
-            "Force that is felt without a pull",
+            "What robots feel beyond the true force on the trunk though nothing pulls",
             &unpulled,
             &[MEAN.name, SD.name, Q95.name],
-            "What robots feel beyond the true force on the trunk though nothing pulls: mean and standard deviation (the \
-             larger of forward and left), 95 % quantile of the horizontal force. Mean ± standard deviation over seeds, \
-             single seeds as hollow marks.",
+            "Mean and standard deviation are the larger of forward and left, the quantile is of the horizontal force.",
         );
     }
 }

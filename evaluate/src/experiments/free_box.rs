@@ -168,26 +168,17 @@ impl Experiment for FreeBox {
         section.figure("", caption, top_view::draw(title, &views, size_m));
         section.dots(
             "forces",
-            "Displacement and forces of the box",
+            "Displacement of the box and forces on it, by its friction",
             &["box_displacement_m", "peak_contact_force_n", "mean_contact_force_n", "passed"],
-            "Displacement of the box and forces on it, by its friction: mean ± standard deviation over seeds, single seeds as hollow marks.",
+            "",
         );
+        use Expected::{Higher, Lower};
         for (text, paper, quantity, expected) in [
-            ("Compliant policies displace a box in their way less", "less", "box_displacement_m", Expected::Lower),
-            (
-                "Compliant policies push the box with a lower mean force",
-                "milder",
-                "mean_contact_force_n",
-                Expected::Lower,
-            ),
-            (
-                "Compliant policies hit the box with a lower peak force",
-                "milder",
-                "peak_contact_force_n",
-                Expected::Lower,
-            ),
-            ("Compliant policies get past the box more often", "past", "passed", Expected::Higher),
-            ("Compliant policies resume their course past the box more often", "resume", "resumed", Expected::Higher),
+            ("Compliant policies displace a box in their way less", "less", "box_displacement_m", Lower),
+            ("Compliant policies push the box with a lower mean force", "milder", "mean_contact_force_n", Lower),
+            ("Compliant policies hit the box with a lower peak force", "milder", "peak_contact_force_n", Lower),
+            ("Compliant policies get past the box more often", "past", "passed", Higher),
+            ("Compliant policies resume their course past the box more often", "resume", "resumed", Higher),
         ] {
             for (index, label) in section.labels().into_iter().enumerate() {
                 section.claim(&format!("{text} ({label})"), paper, quantity, expected, &[index]);

@@ -30,7 +30,7 @@ impl Experiment for Lead {
             number: 17,
             name: "lead",
             title: "Led by the leash",
-            paper: "not in the paper",
+            paper: "",
             method: "A person holding a leash walks beside the robot at its command and after 2 s walks away at 0.5 \
                      m/s, in world-fixed directions all around. Leash and arm are a spring of 200 N/m with 20 N·s/m \
                      that pulls the trunk's centre of mass in that direction and never pushes. A robot of compliance \
@@ -54,10 +54,8 @@ impl Experiment for Lead {
     }
 
     fn report(&self, section: &mut SectionBuilder) {
-        let groups = ConditionGroup::from_names(
-            self.commands_m_s.iter().map(|command| gait(*command).to_owned()),
-            section.results,
-        );
+        let names = self.commands_m_s.iter().map(|command| gait(*command).to_owned());
+        let groups = ConditionGroup::from_names(names, section.results);
         for ConditionGroup { name, conditions } in &groups {
             for (quantity, words) in
                 [("mean_tension_n", "follow with a lower tension (mean over directions)"), ("fell", "fall less often")]
@@ -70,12 +68,11 @@ impl Experiment for Lead {
         section.table_in_file("all", "Led by a leash at 0.5 m/s, by direction.");
         section.polar(
             "",
-            "Leash tension while a person walks away, by direction",
+            "Leash tension while a person walks away at 0.5 m/s, by the direction they walk to",
             ("mean_tension_n", "mean tension [N]"),
-            &groups,
+            (&groups, self.directions),
             Scales::Shared,
-            "Mean leash tension while a person walks away at 0.5 m/s, by the direction they walk to: mean and ± \
-             standard deviation over seeds. Trials with a fall have none.",
+            "Trials with a fall have none.",
         );
     }
 }

@@ -96,12 +96,11 @@ impl Experiment for Leash {
         section.table_in_file("all", "Velocity offset along the pull by direction.");
         section.polar(
             "",
-            "Velocity offset along a pull, by direction",
+            "Velocity offset along a constant pull while walking at 0.5 m/s, by the direction it pulls to",
             ("offset_m_s", "velocity offset along the pull [m/s]"),
-            &groups,
+            (&groups, self.directions),
             Scales::Shared,
-            "Velocity offset along a constant pull, by the direction it pulls to, while walking at 0.5 m/s: mean and \
-             ± standard deviation over seeds. Inside the darker circle the robot moves against the pull.",
+            "Inside the darker circle the robot moves against the pull.",
         );
     }
 }

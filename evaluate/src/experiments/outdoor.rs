@@ -60,10 +60,9 @@ impl Experiment for Outdoor {
         section.table("Over hills of varied friction, by their steepest slope.");
         section.dots(
             "",
-            "Success, velocity error and power on hills",
+            "Success, velocity error and power on hills of varied friction, by their steepest slope",
             &["success", "velocity_error_m_s", "power_w"],
-            "Over hills of varied friction, by their steepest slope: mean ± standard deviation over seeds, single \
-             seeds as hollow marks. Velocity error and power are of trials without a fall.",
+            "Velocity error and power are of trials without a fall.",
         );
         let (all, text) = (section.all(), "On hills of varied friction, compliant policies fall less often");
         section.claim(text, "manages; no baseline shown", "success", Expected::Higher, &all);

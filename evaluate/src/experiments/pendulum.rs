@@ -80,11 +80,9 @@ impl Experiment for Pendulum {
         section.table("Hit by a ball of 3 kg on a string of 1 m, by command and release height.");
         section.dots(
             "",
-            "Effect of a swinging ball, by release height",
+            "Effect of a swinging ball, by command and release height",
             &["decay_20_s", "carried_m", "peak_contact_force_n"],
-            "Hit by a ball of 3 kg on a string of 1 m, by command and release height: decay time, distance carried, \
-             peak force. Mean ± standard deviation over seeds, single seeds as hollow marks; trials with a fall have \
-             no decay time and no distance.",
+            "Trials with a fall have no decay time and no distance.",
         );
         let last = section.results.conditions.len() - 1;
         let caption = format!(

@@ -2,8 +2,7 @@
 
 use super::leash::pulls;
 use super::prelude::*;
-use crate::plot::polar::{self, Polar, Scales};
-use crate::statistics::Spread;
+use crate::plot::polar::Scales;
 
 const SURVIVED: Quantity = Quantity::new("survived", "survived", "%", 0);
 const QUANTITIES: &[Quantity] = &[SURVIVED];
@@ -31,7 +30,7 @@ impl Experiment for PullSurvival {
             number: 15,
             name: "pull",
             title: "Sustained pulls",
-            paper: "not in the paper",
+            paper: "",
             method: "Walking at 0.5 m/s, the robot is pulled by a constant horizontal force on its trunk for some \
                      seconds, in directions all around; the force keeps its direction in the world. It survives if it \
                      has not fallen by the end of the pull.",
@@ -63,27 +62,19 @@ impl Experiment for PullSurvival {
         section.table_in_file("all", "Sustained pulls survived, by force and direction.");
         section.grouped_dots(
             "",
-            "Sustained pulls survived, by force",
+            "Sustained pulls survived while walking at 0.5 m/s, by force, over all directions",
             &forces,
             &[SURVIVED.name],
-            "Sustained pulls survived while walking at 0.5 m/s, by force, over all directions: mean ± standard \
-             deviation over seeds, single seeds as hollow marks.",
+            "",
         );
-        let directions = self.directions as usize;
-        let spread = |set: usize, direction: usize| {
-            let conditions: Vec<usize> = forces.iter().map(|force| force.conditions[direction]).collect();
-            Spread::from_values(&section.results.per_seed_over(set, &conditions, SURVIVED.name))
-                .map(|spread| spread.times(SURVIVED.scale()))
-        };
-        let panel = Polar {
-            title: String::new(),
-            sets: section.by_set(|set| (0..directions).map(|direction| spread(set, direction)).collect()),
-        };
-        let title = "Sustained pulls survived, by direction";
-        let svg =
-            polar::draw(title, &[panel], &section.results.names, "survived [%], mean over all forces", Scales::Own);
-        let caption = "Sustained pulls survived while walking at 0.5 m/s, by the direction they pull to, over all \
-                       forces: mean and ± standard deviation over seeds.";
-        section.figure("directions", caption, svg);
+        let all = ConditionGroup { name: String::new(), conditions: section.all() };
+        section.polar(
+            "directions",
+            "Sustained pulls survived while walking at 0.5 m/s, by the direction they pull to",
+            (SURVIVED.name, "survived [%], mean over all forces"),
+            (&[all], self.directions),
+            Scales::Percent,
+            "The band is cut off at 0 and 100 %.",
+        );
     }
 }

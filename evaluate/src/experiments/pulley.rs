@@ -62,11 +62,9 @@ impl Experiment for Pulley {
         );
         section.dots(
             "",
-            "Displacement, velocity and falls under a pull",
+            "Displacement and velocity along the pull of a weight, and falls, by direction of the pull",
             &["displacement_m", "offset_m_s", "fell"],
-            "Pulled by a weight of 1 kg over a pulley for 4 s: displacement along the pull, velocity along it, falls, \
-             by direction of the pull (0° ahead, 90° left, 180° back, 270° right). Mean ± standard deviation over \
-             seeds, single seeds as hollow marks; trials with a fall count as falls only.",
+            "0° is ahead, 90° left, 180° back, 270° right. Trials with a fall count as falls only.",
         );
         let names = self.commands_m_s.iter().map(|command| gait(*command).to_owned());
         for ConditionGroup { name, conditions } in ConditionGroup::from_names(names, section.results) {

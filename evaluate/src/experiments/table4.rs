@@ -2,7 +2,7 @@
 
 use super::prelude::*;
 use super::push;
-use crate::plot::dots::{self, Dots};
+use crate::plot::dots::Dots;
 use supple::scenario::catalog::PushTrunk;
 use supple::scenario::trace::Frame;
 
@@ -94,16 +94,13 @@ impl Experiment for Table4 {
             quantity: Quantity::new("", label, unit, 1),
             rows: rows.map(|name| section.per_seed(0, name)).into(),
         };
-        let panels = [
+        let panels = vec![
             panel("mechanical power", "W", ["power_before_w", "power_after_w"]),
             panel("torque norm", "N·m", ["torque_before_n_m", "torque_after_n_m"]),
         ];
         let labels = ["before", "after"].map(|when| format!("{} s {when}", brief(self.window_s)));
-        let title = "Power and torque before and after a push";
-        let svg = dots::draw(title, &panels, &labels, &section.results.names);
-        let caption = "Mechanical power and torque norm before and after a sideways push of 0.5 m/s: mean ± standard \
-                       deviation over seeds, single seeds as hollow marks.";
-        section.figure("", caption, svg);
+        let title = "Mechanical power and torque norm before and after a sideways push of 0.5 m/s";
+        section.panels("", title, &panels, &labels, "");
         for (text, paper, quantity) in [
             ("After a push, compliant policies use less power", "140.9 / 166.9 W (−15 %)", "power_after_w"),
             ("After a push, compliant policies use less torque", "25.8 / 27.4 N·m (−6 %)", "torque_sum_after_n_m"),

@@ -70,8 +70,7 @@ impl Experiment for Terrain {
             "",
             "Success, velocity error and peak foot force by terrain",
             &["success", "velocity_error_m_s", "peak_foot_force_n"],
-            "Walking over Perlin terrain by height and frequency: mean ± standard deviation over seeds, single seeds \
-             as hollow marks. Numbers but success are of trials without a fall.",
+            "Numbers but success are of trials without a fall.",
         );
         let (all, first) = (section.all(), section.first_label());
         for (text, over) in [

@@ -49,8 +49,8 @@ fn curve(results: &Results, set: usize, condition: usize) -> Curve {
     let runs = seed.and_then(|seed| results.sets[set].get(&seed)?.get(condition));
     let runs: Vec<_> = runs.into_iter().flatten().filter(|run| run.series.len() == 2).collect();
     let seed = seed.map_or("–".into(), |seed| seed.to_string());
-    let mut curve =
-        Curve { title: format!("{}, seed {seed}, {} runs", results.names[set], runs.len()), set, ..Curve::default() };
+    let title = format!("{}, seed {seed}, {} runs", results.names[set], runs.len());
+    let mut curve = Curve { title, set, if_empty: "no run reached its disturbance", ..Curve::default() };
     let longest = runs.iter().max_by_key(|run| run.series[0].len());
     for (step, time) in longest.map_or(&[][..], |run| &run.series[0]).iter().enumerate() {
         let values: Vec<f64> = runs.iter().filter_map(|run| run.series[1].get(step)).copied().map(f64::from).collect();

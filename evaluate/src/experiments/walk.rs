@@ -155,15 +155,14 @@ impl Experiment for Walk {
         section.table_in_file("commands", caption);
         let (quantity, bound) = ("velocity_error_m_s", self.error_bound_m_s);
         let text = format!("Walking undisturbed ({first}), both sets keep the mean velocity error below {bound} m/s");
-        let (comparison, quantity) = (results.compare(0, quantity), results.quantity(quantity));
+        let (comparison, quantity) = (results.compare_over(&[0], quantity), results.quantity(quantity));
         let verdict = Verdict::from_bound(bound, &comparison);
         section.content.claims.push(Claim { text, paper: "< 0.05 / < 0.05 m/s".into(), quantity, comparison, verdict });
         section.dots(
             "",
-            "Velocity error and power by command",
+            "Velocity error and mechanical power without disturbance, by command",
             &["velocity_error_m_s", "power_w"],
-            "Velocity error and mechanical power without disturbance, by command (forward and left in m/s, turn to \
-             the left in rad/s): mean ± standard deviation over seeds, single seeds as hollow marks.",
+            "Commands forward and left are in m/s, turns to the left in rad/s.",
         );
         section.notes(std::iter::once(mean_error_note(results)).chain(self.warnings(results)));
     }

@@ -28,7 +28,7 @@ impl Experiment for Wall {
             number: 16,
             name: "wall",
             title: "A wall that gives",
-            paper: "not in the paper",
+            paper: "",
             method: "The robot walks into a wall of 700 N/m and 4 N·s/m that presses its trunk's centre of mass back, \
                      and presses on until the end, some 5 s. Peak force and depth are the largest ones. A fall leaves \
                      all but the falls undefined.",
@@ -55,8 +55,7 @@ impl Experiment for Wall {
             "",
             "Force, impulse and depth at a wall that gives",
             &["peak_force_n", "blow_n_s", "depth_m"],
-            "Walking into a wall of 700 N/m and 4 N·s/m: largest force, impulse in the first second, largest depth. \
-             Mean ± standard deviation over seeds, single seeds as hollow marks; trials with a fall have none.",
+            "The impulse is that of the first second. Trials with a fall have none.",
         );
         let all = section.all();
         for (quantity, words) in [

@@ -26,19 +26,19 @@ impl Panel {
         ]
     }
 
-    /// Draws frame, grid lines, ticks and labels. Without `y_label` it omits the numbers along y, which a neighbour has.
+    /// Draws frame, grid lines that reach a little out of it, and labels. Without `y_label` it omits the numbers along y, which a neighbour has.
     pub fn draw_axes(&self, svg: &mut Svg, x_label: &str, y_label: Option<&str>) {
         let [left, top] = self.corner;
         let [right, bottom] = [left + self.size[0], top + self.size[1]];
-        let (x_ticks, y_ticks) = (ticks(self.x, 5), ticks(self.y, 5));
+        let (x_ticks, y_ticks) = (ticks(self.x, 7), ticks(self.y, 7));
         for tick in &x_ticks {
             let [x, _] = self.at([*tick, 0.0]);
-            svg.line([x, top], [x, bottom], Stroke::new(PALE, 1.0));
+            svg.line([x, top], [x, bottom + 4.0], Stroke::new(PALE, 1.0));
             svg.text([x, bottom + 16.0], &tick_text(*tick, &x_ticks), Text::new(SMALL, Anchor::Middle));
         }
         for tick in &y_ticks {
             let [_, y] = self.at([0.0, *tick]);
-            svg.line([left, y], [right, y], Stroke::new(PALE, 1.0));
+            svg.line([left - 4.0, y], [right, y], Stroke::new(PALE, 1.0));
             if y_label.is_some() {
                 svg.text([left - 6.0, y + 4.0], &tick_text(*tick, &y_ticks), Text::new(SMALL, Anchor::End));
             }
@@ -61,10 +61,11 @@ impl Panel {
         svg.outline(&[[left, top], [right, top], [right, bottom], [left, bottom]], Stroke::new(GREY, 1.0));
     }
 
-    /// Draws a title above the panel.
+    /// Draws a title above the panel, in smaller letters if it would be wider than the panel.
     pub fn draw_title(&self, svg: &mut Svg, title: &str) {
         let centre = self.corner[0] + 0.5 * self.size[0];
-        svg.text([centre, self.corner[1] - 9.0], title, Text { bold: true, ..Text::new(LARGE, Anchor::Middle) });
+        let size = LARGE.min(self.size[0] / (0.68 * title.chars().count() as f64));
+        svg.text([centre, self.corner[1] - 9.0], title, Text { bold: true, ..Text::new(size, Anchor::Middle) });
     }
 }
 

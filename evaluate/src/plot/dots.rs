@@ -1,4 +1,5 @@
-//! Quantities by condition: mean ± standard deviation of each set, and each seed as a small hollow mark.
+//! Quantities by condition: mean ± standard deviation of each set (of percentages, as far as 0 and 100 %), and each seed as a small
+//! hollow mark.
 
 use super::axes::{Panel, draw_legend, draw_mark, range_from_zero};
 use super::svg::{Anchor, Stroke, Svg, Text};
@@ -61,7 +62,7 @@ pub fn draw(title: &str, panels: &[Dots], labels: &[String], names: &[String]) -
 fn draw_panel(svg: &mut Svg, panel: &Panel, dots: &Dots, scale: f64) {
     let [left, top] = panel.corner;
     let bottom = top + panel.size[1];
-    let ticks = super::axes::ticks(panel.x, (panel.size[0] / 60.0).clamp(2.0, 5.0) as usize);
+    let ticks = super::axes::ticks(panel.x, (panel.size[0] / 45.0).clamp(2.0, 5.0) as usize);
     for tick in &ticks {
         let x = panel.at([*tick, 0.0])[0];
         svg.line([x, top], [x, bottom], Stroke::new(PALE, 1.0));
@@ -73,8 +74,9 @@ fn draw_panel(svg: &mut Svg, panel: &Panel, dots: &Dots, scale: f64) {
         for (set, values) in sets.iter().enumerate() {
             let from_middle = SET * (set as f64 - 0.5 * (sets.len() as f64 - 1.0));
             let y = top + row_height(sets.len()) * (row as f64 + 0.5) + from_middle;
-            // A standard deviation may reach beyond possible values and so beyond the panel.
-            let at = |value: f64| [panel.at([scale * value, 0.0])[0].clamp(left, left + panel.size[0]), y];
+            // A standard deviation may reach beyond possible values.
+            let [least, most] = if scale > 1.0 { [0.0, 1.0] } else { panel.x };
+            let at = |value: f64| [panel.at([scale * value.clamp(least, most), 0.0])[0], y];
             if values.len() > 1 {
                 for value in values.values() {
                     draw_mark(svg, at(*value), set, 2.2, false);

@@ -2,7 +2,7 @@
 
 use super::axes::Panel;
 use super::svg::{Anchor, Stroke, Svg, Text};
-use super::{GREY, INK, SMALL, WIDTH};
+use super::{INK, SMALL, WIDTH};
 use crate::square_grid::SquareGrid;
 
 /// The colour map Viridis at equal steps, whose lightness differences are equal, also in grey (red, green, blue).
@@ -38,10 +38,10 @@ pub fn draw(title: &str, maps: &[Map], level: f64, labels: [&str; 3]) -> String 
         let (row, column) = (index / 2, index % 2);
         let corner = [62.0 + column as f64 * (side + 30.0), ROW * row as f64 + 32.0];
         let panel = panel(corner, side, map.grid);
+        panel.draw_axes(&mut svg, labels[0], (column == 0).then_some(labels[1]));
         draw_map(&mut svg, &panel, map.grid, level);
         panel.draw_frame(&mut svg);
         panel.draw_title(&mut svg, &map.title);
-        draw_labels(&mut svg, &panel, labels[0], (column == 0).then_some(labels[1]));
     }
     draw_scale(&mut svg, [62.0 + 2.0 * side + 52.0, 32.0], side, level, labels[2]);
     svg.finish(title)
@@ -74,27 +74,6 @@ fn draw_map(svg: &mut Svg, panel: &Panel, grid: &SquareGrid, level: f64) {
         for [from, to] in &segments {
             svg.line(panel.at(*from), panel.at(*to), stroke);
         }
-    }
-}
-
-fn draw_labels(svg: &mut Svg, panel: &Panel, x_label: &str, y_label: Option<&str>) {
-    let ticks = super::axes::ticks(panel.x, 7);
-    let bottom = panel.corner[1] + panel.size[1];
-    for tick in &ticks {
-        let text = super::axes::tick_text(*tick, &ticks);
-        let [x, y] = panel.at([*tick, *tick]);
-        svg.line([x, bottom], [x, bottom + 4.0], Stroke::new(GREY, 1.0));
-        svg.text([x, bottom + 17.0], &text, Text::new(SMALL, Anchor::Middle));
-        svg.line([panel.corner[0] - 4.0, y], [panel.corner[0], y], Stroke::new(GREY, 1.0));
-        if y_label.is_some() {
-            svg.text([panel.corner[0] - 7.0, y + 4.0], &text, Text::new(SMALL, Anchor::End));
-        }
-    }
-    let centre = panel.corner[0] + 0.5 * panel.size[0];
-    svg.text([centre, bottom + 36.0], x_label, Text::new(SMALL, Anchor::Middle));
-    if let Some(label) = y_label {
-        let middle = panel.corner[1] + 0.5 * panel.size[1];
-        svg.text([panel.corner[0] - 42.0, middle], label, Text { upwards: true, ..Text::new(SMALL, Anchor::Middle) });
     }
 }
 

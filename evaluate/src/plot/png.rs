@@ -13,15 +13,7 @@ pub enum RenderError {
     /// The text is not an SVG document.
     #[error("the figure is not valid SVG: {0}")]
     Svg(#[from] usvg::Error),
-    /// The picture is empty or too large for memory.
-    #[error("the figure cannot be rendered: {width} by {height} pixels")]
-    Size {
-        /// The width of the PNG \[px\].
-        width: u32,
-        /// The height of the PNG \[px\].
-        height: u32,
-    },
-    /// The picture cannot be encoded.
+    /// The picture is empty, too large for memory, or cannot be encoded.
     #[error("the figure cannot be rendered: {0}")]
     Encode(Box<dyn std::error::Error + Send + Sync>),
 }
@@ -50,7 +42,8 @@ impl Renderer {
         let tree = usvg::Tree::from_str(svg, &self.options)?;
         let size = tree.size();
         let (width, height) = ((SCALE * size.width()).round() as u32, (SCALE * size.height()).round() as u32);
-        let mut picture = tiny_skia::Pixmap::new(width, height).ok_or(RenderError::Size { width, height })?;
+        let size = || RenderError::Encode(format!("{width} by {height} pixels").into());
+        let mut picture = tiny_skia::Pixmap::new(width, height).ok_or_else(size)?;
         resvg::render(&tree, tiny_skia::Transform::from_scale(SCALE, SCALE), &mut picture.as_mut());
         picture.encode_png().map_err(|error| RenderError::Encode(error.into()))
     }

@@ -26,6 +26,8 @@ pub enum Scales {
     Shared,
     /// Each panel has its own scale.
     Own,
+    /// The outermost circle of all panels is 100 %, and what lies beyond it is cut off.
+    Percent,
 }
 
 /// Returns directions that divide the circle evenly, counter-clockwise from forward \[deg\].
@@ -40,6 +42,7 @@ pub fn draw(title: &str, panels: &[Polar], names: &[String], axis: &str, scales:
         let scale = match scales {
             Scales::Shared => Scale::new(panels),
             Scales::Own => Scale::new(std::slice::from_ref(panel)),
+            Scales::Percent => Scale { low: 0.0, high: 100.0 },
         };
         let centre = [WIDTH * (index as f64 + 0.5) / panels.len() as f64 - 6.0, 188.0];
         draw_rings(&mut svg, centre, scale, axis);

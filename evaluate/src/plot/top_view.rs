@@ -72,7 +72,7 @@ fn corners([x, y, yaw]: BoxPose, size_m: f64) -> [[f64; 2]; 4] {
 }
 
 fn draw_run(svg: &mut Svg, panel: &Panel, run: &Run, set: usize, size_m: f64, in_full: bool) {
-    let pixels = |points: &[[f64; 2]]| points.iter().map(|point| clipped(panel, *point)).collect::<Vec<_>>();
+    let pixels = |points: &[[f64; 2]]| points.iter().map(|point| panel.at(*point)).collect::<Vec<_>>();
     let (first, last) = (pixels(&corners(run.first, size_m)), pixels(&corners(run.last, size_m)));
     if in_full {
         svg.outline(&first, Stroke::new(GREY, 1.5).dashed("4 3"));
@@ -84,12 +84,6 @@ fn draw_run(svg: &mut Svg, panel: &Panel, run: &Run, set: usize, size_m: f64, in
         svg.polyline(&pixels(&run.path), Stroke::new(colour(set), 1.0).faint(0.45));
     }
     if let (true, Some(end)) = (run.fell, run.path.last()) {
-        super::axes::draw_cross(svg, clipped(panel, *end), if in_full { 5.0 } else { 3.5 });
+        super::axes::draw_cross(svg, panel.at(*end), if in_full { 5.0 } else { 3.5 });
     }
-}
-
-/// Returns the pixels of a point, clamped to the panel.
-fn clipped(panel: &Panel, point: [f64; 2]) -> [f64; 2] {
-    let inside = |value: f64, [low, high]: [f64; 2]| value.clamp(low, high);
-    panel.at([inside(point[0], panel.x), inside(point[1], panel.y)])
 }

@@ -2,60 +2,27 @@
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
-use super::markdown::{cells, claim_cells, claim_columns, columns, used_columns};
-use super::{Report, Section, duration, other_reports, samples_text};
+use super::markdown::{Rows, cells, claim_rows, columns, policy_rows, training_rows, used_columns};
+use super::{Report, Section, TOO_FEW, duration, other_reports};
+use crate::policy_sets::Training;
 use crate::results::EndCounts;
 use crate::section_content::{Claim, Table};
 use crate::statistics::Verdict;
 
 const STYLE: &str = include_str!("style.css");
 
-/// Terms that all experiments use; `docs/experiments.md` defines more of them.
-const DEFINITIONS: &[(&str, &str)] = &[
-    (
-        "trial",
-        "one rollout. Its phase, offsets and terrain are drawn from the policy's seed, the experiment, the condition \
-         and the trial's number, never from the policy.",
-    ),
-    ("phase", "a disturbance comes at a time drawn uniformly from 0.65 s, longer than a stride at 0.5 m/s."),
-    ("push", "a velocity offset added to the trunk's velocity in one instant, in the heading frame (forward, left)."),
-    (
-        "fall",
-        "the base is less than 0.2 m above the ground under it, or any part but the feet (of robots from elsewhere: \
-         but feet and shanks) touches the ground. The trial ends, and what it leaves undefined is not averaged; falls \
-         are counted apart.",
-    ),
-    ("power, torque", "Σ|τ·q̇| and ‖τ‖₂ over the twelve joints, averaged at 240 Hz, τ as applied."),
-    (
-        "cell",
-        "the mean over the trials of a policy, then mean ± standard deviation over policies. A trial that leaves a \
-         number undefined for one policy of a pair is left out for both. (4 of 5 seeds): the others have no such \
-         number.",
-    ),
-    (
-        "difference, interval",
-        "first minus second set, over the pairs of seeds that both have the number (how many, if not all); 95 % \
-         bootstrap over these pairs, expanded for their number. Fewer than five pairs have no interval.",
-    ),
-    (
-        "verdict",
-        "effect in the expected direction (the paper's, where it has the experiment): the interval of the difference \
-         lies on that side of zero; opposite: on the other side; no effect shown: it includes zero; too few pairs to \
-         tell: fewer than five. A bound holds if the means of both sets keep it and no number is missing; a fall breaks \
-         it, except where what precedes the fall is measured (E15). Sets after the second have numbers alone.",
-    ),
-];
+/// The terms that all experiments use; `docs/experiments.md` defines more of them.
+const DEFINITIONS: &str = include_str!("definitions.html");
 
 /// Returns the page of a report.
 pub fn page(report: &Report) -> String {
     let (first, others) = report.names.split_first().map_or(("", String::new()), |(a, rest)| (a, rest.join(" and ")));
     let title = format!("{first} against {others} under disturbance");
     let content = html! {
+        (sets_table(&report.policies.training()))
+        (notes(&report.notes))
         (introduction(report))
-        details {
-            summary { "Definitions" }
-            dl { @for (term, meaning) in DEFINITIONS { dt { (term) } dd { (meaning) } } }
-        }
+        (PreEscaped(DEFINITIONS))
         (claims(report))
         @if !report.other_reports.is_empty() { (other_reports_table(report)) }
         (policies(report))
@@ -93,13 +60,12 @@ fn introduction(report: &Report) -> Markup {
             }
         }
         p {
-            "Experiments of section IV of “Deep Compliant Control for Legged Robots”, measured with " (trials)
-            " trials in simulation. Trials are paired: trial " i { "k" } " of seed " i { "s" } " is the same for all sets. "
+            (trials) " trials in simulation. Figures, tables and sections beside the titles of experiments are those of “Deep \
+             Compliant Control for Legged Robots”. Trials are paired: trial " i { "k" } " of seed " i { "s" } " is the same for all sets. "
             "A number is the mean over the trials of a policy, then mean ± standard deviation over policies of different \
              seeds (the fraction of the push grid is that of the map of all seeds together); intervals are 95 % bootstrap \
              intervals over pairs of seeds."
         }
-        (notes(&report.notes))
         dl {
             dt { "Command" } dd { code { (report.command.text(None)) } }
             dt { "Protocol" } dd { (report.protocol) }
@@ -110,74 +76,74 @@ fn introduction(report: &Report) -> Markup {
 }
 
 fn claims(report: &Report) -> Markup {
+    let (titles, rows) = claim_rows(report);
+    let used = used_columns(titles.len(), &rows);
+    let claims = report.sections.iter().flat_map(|section| {
+        section.content.claims.iter().enumerate().map(move |(index, claim)| (section.info, index == 0, claim))
+    });
+    let last = titles.len() - 1;
     html! {
-        h2 id="claims" { "What the paper claims" }
-        table {
-            tr { th {} @for column in claim_columns(&report.names) { th { (column) } } }
-            @for Section { info, content, .. } in &report.sections {
-                @for (index, claim) in content.claims.iter().enumerate() {
-                    tr {
-                        td { a href={ "#" (info.name) } { @if index == 0 { (info.id) } } }
-                        (claim_row(claim))
+        h2 id="claims" { "Claims" }
+        @if report.has_too_few_pairs() { p { (TOO_FEW) } }
+        (scrolled(html! {
+            tr { @for column in &used { th { @if *column > 0 { (titles[*column]) } } } }
+            @for ((info, is_first, claim), cells) in claims.zip(&rows) {
+                tr {
+                    td { @if is_first { a href={ "#" (info.name) } { (cells[0]) } } }
+                    @for column in &used[1..] {
+                        td class=[claim_class(*column, last, claim)] {
+                            // An interval has a line of its own.
+                            @for (line, part) in cells[*column].split(" [").enumerate() { @if line > 0 { br; "[" } (part) }
+                        }
                     }
                 }
             }
-        }
+        }))
     }
 }
 
-fn claim_row(claim: &Claim) -> Markup {
-    let verdict = match claim.verdict {
-        Verdict::AsExpected | Verdict::Holds => "yes",
-        Verdict::Opposite | Verdict::Fails => "no",
-        _ => "open",
-    };
-    let cells = claim_cells(claim);
-    let class = |column: usize| match column {
-        0 | 1 => None,
-        column if column + 1 == cells.len() => Some(verdict),
-        _ => Some("number"),
-    };
-    html! {
-        @for (column, cell) in cells.iter().enumerate() {
-            // An interval has a line of its own.
-            td class=[class(column)] {
-                @for (line, part) in cell.split(" [").enumerate() { @if line > 0 { br; "[" } (part) }
-            }
-        }
+/// Returns the style of a cell of a claim in one of the columns, of which `last` has the verdict.
+fn claim_class(column: usize, last: usize, claim: &Claim) -> Option<&'static str> {
+    match (column, claim.verdict) {
+        (1, _) => Some("claim"),
+        (..=2, _) => None,
+        (column, _) if column < last => Some("number"),
+        (_, Verdict::AsExpected | Verdict::Holds) => Some("yes"),
+        (_, Verdict::Opposite | Verdict::Fails) => Some("no"),
+        _ => Some("open"),
     }
+}
+
+/// Returns a table in a box of its own, which scrolls sideways where the page is narrow.
+pub fn scrolled(rows: Markup) -> Markup {
+    html! { div.wide { table { (rows) } } }
+}
+
+/// Returns a table in its box.
+fn plain_table((columns, rows): Rows) -> Markup {
+    scrolled(html! {
+        tr { @for column in columns { th { (column) } } }
+        @for row in rows { tr { @for cell in row { td { (cell) } } } }
+    })
+}
+
+/// Returns the table of what a reader has to know of the sets.
+pub fn sets_table(training: &[Training]) -> Markup {
+    plain_table(training_rows(training))
 }
 
 fn other_reports_table(report: &Report) -> Markup {
-    let (columns, rows) = other_reports::table(report);
     html! {
         h2 id="beside" { (other_reports::TITLE) }
         p { (other_reports::CAPTION) }
-        table {
-            tr { @for column in columns { th { (column) } } }
-            @for row in rows { tr { @for cell in row { td { (cell) } } } }
-        }
+        (plain_table(other_reports::table(report)))
     }
 }
 
 fn policies(report: &Report) -> Markup {
     html! {
         h2 id="policies" { "Policies" }
-        table {
-            tr {
-                th { "set" } th { "seed" } th { "configuration" } th { "samples" } th { "trained by" } th { "SHA-256" }
-            }
-            @for (set, member) in report.policies.members() {
-                tr {
-                    td { (set.name) }
-                    td.number { (member.seed) }
-                    td { (member.config_name()) }
-                    td.number { (samples_text(member)) }
-                    td { (member.revision()) }
-                    td { code { (member.agent.sha256) } }
-                }
-            }
-        }
+        (plain_table(policy_rows(report)))
     }
 }
 
@@ -185,7 +151,7 @@ fn experiment(section: &Section, report: &Report) -> Markup {
     let Section { info, content, .. } = section;
     html! {
         section id=(info.name) {
-            h2 { (info.id) " " (info.title) " " small { (info.paper) } }
+            h2 { (info.id) " " (info.title) @if !info.paper.is_empty() { " " small { (info.paper) } } }
             p { (info.method) }
             (notes(&content.notes))
             @for figure in &content.figures {
@@ -230,7 +196,7 @@ fn missing(report: &Report) -> Markup {
         ul {
             @for info in &report.missing {
                 li {
-                    (info.id) " " (info.title) " (" (info.paper) "): "
+                    (info.id) " " (info.title) ": "
                     code { (report.command.text(Some(info.name))) }
                 }
             }
@@ -248,20 +214,18 @@ fn numbers(table: &Table, names: &[String]) -> Markup {
     let titles = columns(names);
     let used = used_columns(titles.len(), &rows);
     let condition_above = |row: usize| row.checked_sub(1).map_or("", |above| &rows[above][0]);
-    html! {
-        table {
-            caption { (table.caption) }
-            tr { @for column in &used { th { (titles[*column]) } } }
-            @for (index, row) in rows.iter().enumerate() {
-                @let is_first = row[0] != condition_above(index);
-                tr class=[is_first.then_some("first")] {
-                    @for column in &used {
-                        td class=[(*column > 1).then_some("number")] { @if *column > 0 || is_first { (row[*column]) } }
-                    }
+    scrolled(html! {
+        caption { (table.caption) }
+        tr { @for column in &used { th { (titles[*column]) } } }
+        @for (index, row) in rows.iter().enumerate() {
+            @let is_first = row[0] != condition_above(index);
+            tr class=[is_first.then_some("first")] {
+                @for column in &used {
+                    td class=[(*column > 1).then_some("number")] { @if *column > 0 || is_first { (row[*column]) } }
                 }
             }
         }
-    }
+    })
 }
 
 fn provenance(section: &Section, report: &Report) -> Markup {

@@ -1,7 +1,12 @@
 //! Tables as Markdown, and the document of all claims.
 
-use super::{Report, duration, other_reports, samples_text};
-use crate::section_content::{Claim, Row, Table, difference, percent, spread};
+use super::{Report, TOO_FEW, duration, other_reports};
+use crate::policy_sets::{PolicySet, SetMember, Training, millions};
+use crate::section_content::{Claim, NOTHING, Row, Table, difference, percent, spread};
+use crate::statistics::Verdict;
+
+/// The column titles and the cells of a table.
+pub type Rows = (Vec<String>, Vec<Vec<String>>);
 
 /// Returns the cells of a row: condition, quantity, the paper's numbers, the numbers of each set, difference, relative change.
 pub fn cells(row: &Row) -> Vec<String> {
@@ -19,8 +24,32 @@ pub fn columns(names: &[String]) -> Vec<String> {
     titled(["condition", "quantity", "paper (compliant / baseline)"], names, [difference, relative])
 }
 
-/// Returns the cells of a claim: its text, the paper's numbers, the numbers of each set, difference, relative change, verdict.
-pub fn claim_cells(claim: &Claim) -> Vec<String> {
+/// Returns the column titles and cells of a table of what a reader has to know of the sets.
+pub fn training_rows(training: &[Training]) -> Rows {
+    let columns = ["set", "seeds", "configuration", "samples (steps of an environment)"];
+    let cells = |training: &Training| {
+        let seeds: Vec<String> = training.seeds.iter().map(u64::to_string).collect();
+        let configurations: Vec<&str> = training.configurations.iter().map(String::as_str).collect();
+        let samples = training.millions().map_or(NOTHING.to_owned(), |millions| format!("{millions} M"));
+        vec![training.set.clone(), seeds.join(", "), configurations.join(", "), samples]
+    };
+    (columns.map(ToOwned::to_owned).into(), training.iter().map(cells).collect())
+}
+
+/// Returns the column titles and cells of a table of all policies.
+pub fn policy_rows(report: &Report) -> Rows {
+    let columns = ["set", "seed", "configuration", "samples", "trained by", "SHA-256"].map(ToOwned::to_owned);
+    let row = |(set, member): (&PolicySet, &SetMember)| {
+        let samples = member.samples().map_or(NOTHING.to_owned(), |samples| format!("{} M", millions(samples)));
+        let [name, config, revision] = [&*set.name, member.config_name(), member.revision()].map(ToOwned::to_owned);
+        vec![name, member.seed.to_string(), config, samples, revision, member.agent.sha256.clone()]
+    };
+    (columns.into(), report.policies.members().map(row).collect())
+}
+
+/// Returns the cells of a claim: its text, the paper's numbers, the numbers of each set, difference, relative change, verdict. The
+/// verdict that there are too few pairs is left out if the report says so once.
+pub fn claim_cells(claim: &Claim, says_too_few: bool) -> Vec<String> {
     let (c, quantity) = (&claim.comparison, claim.quantity);
     let unit = if quantity.unit.is_empty() { String::new() } else { format!(" {}", quantity.unit) };
     // The difference of two fractions is not a fraction.
@@ -29,7 +58,8 @@ pub fn claim_cells(claim: &Claim) -> Vec<String> {
     cells.extend(c.sets.iter().map(|set| spread(set, quantity, &unit)));
     cells.push(difference(c, quantity, &unit_of_difference));
     cells.push(if quantity.unit == "%" { String::new() } else { percent(c.relative, " %") });
-    cells.push(claim.verdict.text().to_owned());
+    let is_said = says_too_few && claim.verdict == Verdict::TooFew;
+    cells.push(if is_said { String::new() } else { claim.verdict.text().to_owned() });
     cells
 }
 
@@ -54,37 +84,46 @@ fn titled<const N: usize>(first: [&str; N], names: &[String], last: impl IntoIte
 
 /// Returns a table with its caption.
 pub fn table(table: &Table, names: &[String]) -> String {
-    let rows = table.rows.iter().map(cells);
-    format!("{}\n\n{}", table.caption, grid(&columns(names), rows))
+    format!("{}\n\n{}", table.caption, grid((columns(names), table.rows.iter().map(cells).collect())))
+}
+
+/// Returns the column titles and cells of the claims of all experiments, with the experiment in the first column.
+pub fn claim_rows(report: &Report) -> Rows {
+    let says_too_few = report.has_too_few_pairs();
+    let claims = report.sections.iter().flat_map(|section| {
+        section.content.claims.iter().map(|claim| (section.info.id.to_owned(), claim_cells(claim, says_too_few)))
+    });
+    let mut columns = claim_columns(&report.names);
+    columns.insert(0, "experiment".into());
+    (columns, claims.map(|(id, cells)| std::iter::once(id).chain(cells).collect()).collect())
 }
 
 /// Returns the table of the claims of all experiments.
 pub fn claims(report: &Report) -> String {
-    let rows = report.sections.iter().flat_map(|section| {
-        section.content.claims.iter().map(|claim| {
-            let mut cells = claim_cells(claim);
-            cells.insert(0, format!("{} {}", section.info.id, section.info.paper));
-            cells
-        })
-    });
-    let mut columns = claim_columns(&report.names);
-    columns.insert(0, "experiment".into());
-    grid(&columns, rows)
+    let (columns, mut rows) = claim_rows(report);
+    let papers = report.sections.iter().flat_map(|section| section.content.claims.iter().map(|_| section.info.paper));
+    for (row, paper) in rows.iter_mut().zip(papers) {
+        row[0] = format!("{} {paper}", row[0]).trim_end().to_owned();
+    }
+    let few = if report.has_too_few_pairs() { format!("{TOO_FEW}\n\n") } else { String::new() };
+    few + &grid((columns, rows))
 }
 
 /// Returns the table of the claims here and in other reports.
 pub fn other_reports_table(report: &Report) -> String {
-    let (columns, rows) = other_reports::table(report);
-    grid(&columns, rows.into_iter())
+    grid(other_reports::table(report))
 }
 
 /// Returns the document of all claims (`research/results.md`), whose figures are in `images/`.
 pub fn document(report: &Report) -> String {
+    let list = |notes: &[String]| notes.iter().map(|note| format!("- {note}\n")).collect::<String>();
     let mut text = format!(
-        "# The paper's claims and our numbers\n\n\
+        "# Claims and numbers\n\n{}\n{}\n\
          Made by `{}`; not edited by hand. [experiments.md](../docs/experiments.md) defines every number. A cell is the mean ± \
          standard deviation over the seeds of {} (E1: the map of all seeds together); intervals are 95 % bootstrap \
          intervals over pairs of seeds. Protocol: {}; measured by revision {} in {}.\n\n{}",
+        grid(training_rows(&report.policies.training())),
+        list(&report.notes),
         report.command.text(None),
         report.names.join(", "),
         report.protocol,
@@ -96,7 +135,6 @@ pub fn document(report: &Report) -> String {
         section.content.notes.iter().map(|note| format!("- {}: {note}\n", section.info.id)).collect::<String>()
     };
     let mut notes: String = report.sections.iter().map(of_section).collect();
-    notes.extend(report.notes.iter().map(|note| format!("- {note}\n")));
     if !report.missing.is_empty() {
         let names: Vec<&str> = report.missing.iter().map(|info| info.name).collect();
         notes.push_str(&format!("- not run: {}\n", names.join(", ")));
@@ -116,27 +154,13 @@ pub fn document(report: &Report) -> String {
         text.push_str(&format!("\n![{0}](images/{0}.png)\n\n{1}\n", figure.name, figure.caption));
     }
     if !report.sensing.experiments.is_empty() {
-        text.push_str("\n## E12: acting on sensors\n");
-        let notes: String = report.sensing.notes.iter().map(|note| format!("- {note}\n")).collect();
-        if !notes.is_empty() {
-            text.push_str(&format!("\n{notes}"));
-        }
+        text.push_str(&format!("\n## E12: acting on sensors\n\n{}", list(&report.sensing.notes)));
         for (table, names) in report.sensing.tables().iter().filter(|(table, _)| table.in_page) {
             text.push_str(&format!("\n{}", self::table(table, names)));
         }
     }
     text.push_str("\n## Policies\n\n");
-    let rows = report.policies.members().map(|(set, member)| {
-        vec![
-            set.name.clone(),
-            member.seed.to_string(),
-            member.config_name().to_owned(),
-            samples_text(member),
-            format!("`{}`", &member.agent.sha256[..16.min(member.agent.sha256.len())]),
-        ]
-    });
-    let columns = ["set", "seed", "configuration", "samples", "sha256"].map(ToOwned::to_owned);
-    text.push_str(&grid(&columns, rows));
+    text.push_str(&grid(policy_rows(report)));
     text.push_str("\n## Trials\n\n");
     let rows = report.sections.iter().map(|section| {
         let counts = [
@@ -149,20 +173,19 @@ pub fn document(report: &Report) -> String {
     });
     let counts = ["experiment", "conditions", "trials of each with each policy"];
     let falls: Vec<String> = report.names.iter().map(|name| format!("falls, {name}")).collect();
-    text.push_str(&grid(&titled(counts, &falls, []), rows));
+    text.push_str(&grid((titled(counts, &falls, []), rows.collect())));
     text
 }
 
 /// Returns a Markdown table without the columns that are empty throughout.
-fn grid(columns: &[String], rows: impl Iterator<Item = Vec<String>>) -> String {
-    let rows: Vec<Vec<String>> = rows.collect();
+fn grid((columns, rows): Rows) -> String {
     let used = used_columns(columns.len(), &rows);
     let line = |cells: &[String]| {
         let cells: Vec<String> = used.iter().map(|column| cells[*column].replace('|', "\\|")).collect();
         format!("| {} |\n", cells.join(" | "))
     };
     let ruler = format!("|{}\n", "---|".repeat(used.len()));
-    format!("{}{ruler}{}", line(columns), rows.iter().map(|row| line(row)).collect::<String>())
+    format!("{}{ruler}{}", line(&columns), rows.iter().map(|row| line(row)).collect::<String>())
 }
 
 /// Returns the indices of the columns in which a row has text.

@@ -9,33 +9,30 @@ pub(crate) mod html;
 mod markdown;
 pub mod other_reports;
 mod summary;
+pub mod text;
 
 use std::collections::BTreeSet;
 use std::fs;
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use self::other_reports::OtherReport;
 use super::plot::png::{RenderError, Renderer};
-use super::policy_sets::{PolicySets, SetMember};
+use super::policy_sets::PolicySets;
 use super::results::EndCounts;
 use super::runner::Measurement;
 use super::section_content::{Figure, SectionContent, Table};
 use super::sensing::SensingComparison;
+use super::statistics::Verdict;
 use super::{Experiment, ExperimentInfo};
-use supple::util::files;
+use supple::util::files::{self, FileError};
 
 /// The reason why a report was not written.
 #[derive(Debug, thiserror::Error)]
 pub enum ReportError {
     /// A file cannot be written.
-    #[error("cannot write {}: {source}", path.display())]
-    Write {
-        /// The file.
-        path: PathBuf,
-        /// The system's reason.
-        source: io::Error,
-    },
+    #[error("cannot write the {0}")]
+    Write(#[from] FileError),
     /// A figure cannot be rendered as PNG.
     #[error("figure {name}: {source}")]
     Figure {
@@ -141,10 +138,8 @@ pub struct Report<'a> {
     pub other_reports: Vec<OtherReport>,
 }
 
-/// Returns the number of training samples of a policy as text.
-fn samples_text(member: &SetMember) -> String {
-    member.samples().map_or("–".to_owned(), |samples| format!("{:.1} M", samples as f64 / 1e6))
-}
+/// What stands above claims that all lack a verdict on their difference.
+const TOO_FEW: &str = "No difference has a verdict: each has fewer than five pairs of seeds, too few to tell.";
 
 impl<'a> Report<'a> {
     /// Creates a report without experiments.
@@ -170,6 +165,13 @@ impl<'a> Report<'a> {
         self.sections.push(section);
     }
 
+    /// Returns true if every difference that a verdict could be about has too few pairs of seeds.
+    fn has_too_few_pairs(&self) -> bool {
+        let claims = || self.sections.iter().flat_map(|section| &section.content.claims);
+        let judged = [Verdict::AsExpected, Verdict::NoEffect, Verdict::Alike, Verdict::Opposite];
+        claims().any(|claim| claim.verdict == Verdict::TooFew) && !claims().any(|claim| judged.contains(&claim.verdict))
+    }
+
     /// Returns the time that all trials took, including those of E12 \[s\].
     fn wall_s(&self) -> f64 {
         self.sections.iter().map(|section| section.wall_s).sum::<f64>() + self.sensing.wall_s
@@ -189,13 +191,12 @@ impl<'a> Report<'a> {
         let mut failed = Vec::new();
         let (figures, tables) = (out.join("figures"), out.join("tables"));
         for folder in [&*figures, &*tables, out] {
-            let of = |source| ReportError::Write { path: folder.to_owned(), source };
-            fs::create_dir_all(folder).and_then(|()| files::clear_temporaries(folder)).map_err(of)?;
+            fs::create_dir_all(folder).and_then(|()| files::clear_temporaries(folder)).map_err(fail(folder))?;
         }
         let no_sensing = self.sensing.experiments.is_empty().then_some("sensing");
         for name in self.missing.iter().map(|info| info.name).chain(no_sensing) {
             for folder in [&figures, &tables] {
-                remove_outdated(name, folder).map_err(|source| ReportError::Write { path: folder.clone(), source })?;
+                remove_outdated(name, folder).map_err(fail(folder))?;
             }
         }
         let renderer = Renderer::default();
@@ -236,7 +237,7 @@ impl<'a> Report<'a> {
         let images = path.with_file_name("images");
         let renderer = Renderer::default();
         for figure in self.figures_of_document() {
-            fs::create_dir_all(&images).map_err(|source| ReportError::Write { path: images.clone(), source })?;
+            fs::create_dir_all(&images).map_err(fail(&images))?;
             failed.extend(write_png(&renderer, figure, &images)?);
         }
         write(path, markdown::document(self).as_bytes())?;
@@ -279,11 +280,16 @@ fn remove_outdated(experiment: &str, folder: &Path) -> io::Result<()> {
 }
 
 pub(super) fn write(path: &Path, bytes: &[u8]) -> Result<(), ReportError> {
-    files::write_atomically(path, bytes).map_err(|source| ReportError::Write { path: path.to_owned(), source })
+    Ok(files::write_atomically(path, bytes).map_err(fail(path))?)
+}
+
+/// Returns a function that creates the error of a file or folder of the report.
+fn fail(path: &Path) -> impl Fn(io::Error) -> FileError {
+    FileError::of("report", path)
 }
 
 /// Returns a duration in words.
-fn duration(seconds: f64) -> String {
+pub fn duration(seconds: f64) -> String {
     match seconds.round() as u64 {
         seconds @ 0..60 => format!("{seconds} s"),
         seconds @ 60..3600 => format!("{} min {} s", seconds / 60, seconds % 60),

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 use serde_json::Value;
 
+use super::markdown::Rows;
 use super::{Report, summary};
 use crate::Quantity;
 use crate::section_content::{NOTHING, difference, number, percent};
@@ -54,20 +55,12 @@ pub enum OtherReportError {
 }
 
 /// The claims of another report.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone)]
 pub struct OtherReport {
     /// The name of the other report in this one.
     pub name: String,
-    /// The experiments by name.
-    experiments: BTreeMap<String, MeasuredClaims>,
-}
-
-/// The claims of an experiment in another report.
-#[derive(Debug, Clone, PartialEq)]
-struct MeasuredClaims {
-    parameters: Value,
-    /// The name of the quantity and the numbers of each claim, in the quantity's printed unit.
-    claims: Vec<(String, Comparison)>,
+    sets: [String; 2],
+    experiments: Vec<ExperimentRecord>,
 }
 
 #[derive(Deserialize)]
@@ -76,38 +69,43 @@ struct SummaryRecord {
     experiments: Vec<ExperimentRecord>,
 }
 
-#[derive(Deserialize)]
+#[derive(Debug, Clone, Deserialize)]
 struct ExperimentRecord {
     name: String,
     parameters: Value,
     claims: Vec<ClaimRecord>,
 }
 
-#[derive(Deserialize)]
+#[derive(Debug, Clone, Deserialize)]
 struct ClaimRecord {
     quantity: String,
     ours: NumbersRecord,
 }
 
-#[derive(Deserialize)]
+#[derive(Debug, Clone, Deserialize)]
 struct NumbersRecord {
     sets: BTreeMap<String, SetRecord>,
     difference: Option<IntervalEstimate>,
     relative: Option<IntervalEstimate>,
 }
 
-#[derive(Deserialize)]
+#[derive(Debug, Clone, Deserialize)]
 struct SetRecord {
     mean: Option<f64>,
     sd: Option<f64>,
     by_seed: PerSeed,
 }
 
-impl SetRecord {
-    fn numbers(self) -> Numbers {
-        let seeds = self.by_seed.len();
-        let spread = self.mean.map(|mean| Spread { mean, sd: self.sd, seeds });
-        Numbers { by_seed: self.by_seed, spread, members: seeds }
+impl NumbersRecord {
+    /// Returns the numbers of two sets in the quantity's printed unit.
+    fn comparison(&self, sets: &[String; 2]) -> Comparison {
+        let numbers = |name: &String| {
+            let SetRecord { mean, sd, by_seed } = self.sets.get(name)?.clone();
+            let members = by_seed.len();
+            Some(Numbers { by_seed, spread: mean.map(|mean| Spread { mean, sd, seeds: members }), members })
+        };
+        let sets = sets.iter().filter_map(numbers).collect();
+        Comparison { sets, difference: self.difference, relative: self.relative, trials: None }
     }
 }
 
@@ -125,27 +123,21 @@ impl OtherReport {
         let [first, second, ..] = &summary.sets[..] else {
             return Err(OtherReportError::Sets { path, found: summary.sets.len() });
         };
-        let numbers =
-            |ClaimRecord { quantity, ours: NumbersRecord { mut sets, difference, relative } }: ClaimRecord| {
-                let pair = [first, second].into_iter().filter_map(|name| Some(sets.remove(name)?.numbers())).collect();
-                (quantity, Comparison { sets: pair, difference, relative, trials: None })
-            };
-        let measured = |ExperimentRecord { name, parameters, claims }: ExperimentRecord| {
-            (name, MeasuredClaims { parameters, claims: claims.into_iter().map(numbers).collect() })
-        };
-        Ok(OtherReport { name: name.to_owned(), experiments: summary.experiments.into_iter().map(measured).collect() })
+        let sets = [first, second].map(ToOwned::to_owned);
+        Ok(OtherReport { name: name.to_owned(), sets, experiments: summary.experiments })
     }
 
     /// Returns the cell of a claim, or a dash if the other report measured it with other parameters or not at all.
     fn cell(&self, experiment: &str, parameters: &Value, index: usize, quantity: Quantity) -> String {
-        let alike = self.experiments.get(experiment).filter(|there| there.parameters == *parameters);
-        let same = alike.and_then(|there| there.claims.get(index)).filter(|(name, _)| name == quantity.name);
-        same.map_or(NOTHING.to_owned(), |(_, there)| cell(&there.scaled(1.0 / quantity.scale()), quantity))
+        let is_it = |there: &&ExperimentRecord| there.name == experiment && there.parameters == *parameters;
+        let claim = self.experiments.iter().find(is_it).and_then(|there| there.claims.get(index));
+        let numbers = claim.filter(|claim| claim.quantity == quantity.name).map(|it| it.ours.comparison(&self.sets));
+        numbers.map_or(NOTHING.to_owned(), |there| cell(&there.scaled(1.0 / quantity.scale()), quantity))
     }
 }
 
 /// Returns the column titles and rows of the table: each claim, here and in the other reports.
-pub fn table(report: &Report) -> (Vec<String>, Vec<Vec<String>>) {
+pub fn table(report: &Report) -> Rows {
     let columns =
         ["experiment", "claim", "here"].into_iter().chain(report.other_reports.iter().map(|other| &*other.name));
     let of_section = |section: &super::Section| {

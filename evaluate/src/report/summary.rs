@@ -21,6 +21,8 @@ pub fn json(report: &Report) -> String {
     let missing: Vec<&str> = report.missing.iter().map(|info| info.name).collect();
     let mut whole = json!({
         "sets": report.names,
+        "training": report.policies.training(),
+        "differing_keys": report.policies.differing_keys(),
         "policies": policies,
         "protocol": report.protocol,
         "notes": report.notes,

@@ -145,7 +145,8 @@ fn experiments() -> impl TypedValueParser<Value = String> {
     let protocol = Protocol::full().ok();
     let infos = protocol.iter().flat_map(|protocol| protocol.experiments()).map(|experiment| experiment.info());
     let value = |info: supple_evaluate::ExperimentInfo| {
-        PossibleValue::new(info.name).help(format!("{}, {}: {}", info.id, info.paper, info.title))
+        let paper = if info.paper.is_empty() { String::new() } else { format!(" ({})", info.paper) };
+        PossibleValue::new(info.name).help(format!("{} {}{paper}", info.id, info.title))
     };
     PossibleValuesParser::new(infos.map(value).collect::<Vec<_>>())
 }

@@ -9,9 +9,9 @@ use std::process::ExitCode;
 use anyhow::Context;
 use args::{Args, MOST_NAME, label};
 use clap::Parser;
-use progress::Progress;
 use supple::scenario::Sensing;
 use supple::util::files::{self, Target};
+use supple::util::progress::columns;
 use supple::util::terminal::{self, shell_word};
 use supple_evaluate::exam::{Exam, Part, page};
 use supple_evaluate::learning_curves::{self, LearningSet, Over};
@@ -20,8 +20,8 @@ use supple_evaluate::plot::png::Renderer;
 use supple_evaluate::policy_sets::PolicySets;
 use supple_evaluate::protocol::Protocol;
 use supple_evaluate::report::other_reports::OtherReport;
-use supple_evaluate::report::{CommandLine, Report, Section};
-use supple_evaluate::runner::{self, Measurement, Settings};
+use supple_evaluate::report::{CommandLine, Report, Section, text};
+use supple_evaluate::runner::{self, Measurement, ON_SENSORS, Settings};
 
 fn main() -> ExitCode {
     supple::robot::isolate_imports();
@@ -60,21 +60,14 @@ fn run(args: &Args) -> anyhow::Result<()> {
     // E12 compares estimates with the true state, so both are run.
     let on_sensors = (args.sensing == Sensing::Estimated).then_some(&on_sensors);
     let experiments = protocol.experiments().into_iter().filter(|experiment| wanted(experiment.info().name));
-    let ways = [Some((&policies, &settings)), on_sensors.map(|settings| (&compared, settings))];
-    let ways_of =
-        |experiment| ways.into_iter().flatten().map(move |(policies, settings)| (experiment, policies, settings));
-    let runs: Vec<_> = experiments.flat_map(ways_of).collect();
-
-    let mut progress = Progress::default();
-    for (experiment, policies, settings) in &runs {
-        progress.expect(runner::remaining_work(*experiment, policies, settings)?);
+    let mut jobs = Vec::new();
+    for experiment in experiments {
+        jobs.extend(runner::jobs(experiment, &policies, &settings, "")?);
+        if let Some(settings) = on_sensors {
+            jobs.extend(runner::jobs(experiment, &compared, settings, ON_SENSORS)?);
+        }
     }
-    for (experiment, policies, settings) in &runs {
-        progress.begin(&experiment.info());
-        runner::measure(*experiment, policies, settings, &|update| progress.update(update))?;
-        progress.end(&experiment.info(), settings.sensing);
-    }
-    progress.finish();
+    progress::run(&jobs)?;
 
     let mut faults = Vec::new();
     // The report includes what other processes have measured meanwhile; the last process reports everything.
@@ -82,7 +75,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
     for experiment in protocol.experiments() {
         let finished = |policies, sensing| runner::finished(experiment, policies, &settings.store, sensing);
         let (truth, estimated) = (finished(&policies, Sensing::True)?, finished(&compared, Sensing::Estimated)?);
-        for (measured, on) in [(&truth, ""), (&estimated, " on sensors")] {
+        for (measured, on) in [(&truth, ""), (&estimated, ON_SENSORS)] {
             let Some(Measurement { results, .. }) = measured else { continue };
             let name = experiment.info().name;
             let of_set = |set| Some(format!("experiment {name}{on}: {}", results.faults(set)?));
@@ -101,7 +94,8 @@ fn run(args: &Args) -> anyhow::Result<()> {
         failed.extend(report.write_document(path)?);
     }
     failed.iter().for_each(|error| terminal::note(format_args!("warning: {}", terminal::complaint(error))));
-    terminal::print(format_args!("{}\n", args.out.join("report.html").display()))?;
+    let claims = text::claims(&report, columns(std::io::stdout()));
+    terminal::print(format_args!("{claims}\n{}\n", args.out.join("report.html").display()))?;
     match faults.split_last() {
         None => Ok(()),
         Some((last, others)) => {
@@ -141,19 +135,16 @@ fn examine(policy: &Path, args: &Args) -> anyhow::Result<()> {
     prepare(args)?;
     let store = MeasurementStore::new(&args.out);
     let settings = |sensing| Settings { again: args.again, sensing, store: store.clone() };
-    let mut progress = Progress::default();
-    for Part { experiment, policies, sensing } in exam.parts() {
-        progress.expect(runner::remaining_work(experiment, policies, &settings(sensing))?);
+    let [on_state, on_sensors] = [Sensing::True, Sensing::Estimated].map(settings);
+    let mut jobs = Vec::new();
+    for Part { experiment, policies, sensing, way } in exam.parts() {
+        let settings = if sensing == Sensing::Estimated { &on_sensors } else { &on_state };
+        jobs.extend(runner::jobs(experiment, policies, settings, way)?);
     }
-    for Part { experiment, policies, sensing } in exam.parts() {
-        progress.begin(&experiment.info());
-        runner::measure(experiment, policies, &settings(sensing), &|update| progress.update(update))?;
-        progress.end(&experiment.info(), sensing);
-    }
-    progress.finish();
+    progress::run(&jobs)?;
     let examination = exam.grade(&store)?;
-    let film = exam.worst_fall(&store).unwrap_or_else(|error| {
-        terminal::note(format_args!("note: no film of the worst fall: {error}"));
+    let film = exam.first_fall(&store).unwrap_or_else(|error| {
+        terminal::note(format_args!("note: no film of a fall: {error}"));
         None
     });
     let mut options = vec!["--exam".to_owned(), shell_word(policy)];
@@ -161,7 +152,11 @@ fn examine(policy: &Path, args: &Args) -> anyhow::Result<()> {
     options.extend(["--out".to_owned(), shell_word(&args.out)]);
     let command = CommandLine { experiments: Vec::new(), options };
     page::save(&examination, film.as_ref(), &command.text(None), &args.out)?;
-    terminal::print(format_args!("{}{}\n", page::text(&examination), args.out.join("exam.html").display()))?;
+    terminal::print(format_args!(
+        "{}\n{}\n",
+        page::text(&examination, columns(std::io::stdout())),
+        args.out.join("exam.html").display()
+    ))?;
     match &examination.faults[..] {
         [] => Ok(()),
         faults => anyhow::bail!("{}", faults.join("\n")),

@@ -1,59 +1,56 @@
 //! One progress bar over all experiments, in simulated time.
 
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
-use supple::scenario::Sensing;
 use supple::util::progress::{ProgressBar, progress};
 use supple::util::terminal;
-use supple_evaluate::ExperimentInfo;
-use supple_evaluate::runner::Update;
+use supple_evaluate::report::duration;
+use supple_evaluate::runner::{Job, RunError, Update};
 
 /// The number of steps of the bar per second of simulated time.
-const STEPS: f64 = 10.0;
+const STEPS: f64 = 1000.0;
 
-/// A progress bar that prints a line for each finished experiment.
-pub struct Progress {
-    bar: ProgressBar,
-    begun: Instant,
+/// Runs all jobs with a bar of what is left, and prints a line with the same after each of them.
+///
+/// # Errors
+/// A trial cannot be played, or the results cannot be written.
+pub fn run(jobs: &[Job]) -> Result<(), RunError> {
+    let steps = |cost_s: f64| (STEPS * cost_s) as u64;
+    let bar = progress(jobs.iter().map(|job| steps(job.work.cost_s)).sum());
+    let left = AtomicU64::new(jobs.iter().map(|job| job.work.trials).sum());
+    let start = Instant::now();
+    let show = |left: u64, job: &Job| bar.set_message(format!("{left} trials left: {}", job.name));
+    for job in jobs {
+        show(left.load(Ordering::Relaxed), job);
+        let begun = Instant::now();
+        let is_played = job.run(&|update| match update {
+            Update::Played(work) => {
+                let before = left.fetch_sub(work.trials, Ordering::Relaxed);
+                show(before - work.trials, job);
+                bar.inc(steps(work.cost_s));
+            }
+            Update::Waits(other) => bar.suspend(|| waits(&other)),
+        })?;
+        let took_s = begun.elapsed().as_secs_f64();
+        let left = left.load(Ordering::Relaxed);
+        // What another process has measured has its line there.
+        let line = is_played
+            .then(|| format!("{}: {} trials in {took_s:.1} s{}", job.name, job.work.trials, ahead(&bar, left, start)));
+        bar.suspend(|| line.into_iter().for_each(terminal::note));
+    }
+    bar.finish_and_clear();
+    Ok(())
 }
 
-impl Default for Progress {
-    fn default() -> Self {
-        Progress { bar: progress(0), begun: Instant::now() }
+/// Returns the trials and the time that are left, from the time of those that were played; nothing if none are left.
+fn ahead(bar: &ProgressBar, trials: u64, start: Instant) -> String {
+    let (done, all) = (bar.position(), bar.length().unwrap_or(0));
+    if trials == 0 || done == 0 {
+        return String::new();
     }
-}
-
-impl Progress {
-    /// Adds remaining work \[s\].
-    pub fn expect(&mut self, work: f64) {
-        self.bar.inc_length((STEPS * work) as u64);
-    }
-
-    /// Shows the name of the experiment that starts.
-    pub fn begin(&mut self, info: &ExperimentInfo) {
-        self.bar.set_message(format!("{} {}", info.id, info.name));
-        self.begun = Instant::now();
-    }
-
-    /// Advances the bar by finished work, or says for whom the program waits.
-    pub fn update(&self, update: Update) {
-        match update {
-            Update::Played(work) => self.bar.inc((STEPS * work) as u64),
-            Update::Waits(other) => self.bar.suspend(|| waits(&other)),
-        }
-    }
-
-    /// Prints the time of the finished experiment.
-    pub fn end(&mut self, info: &ExperimentInfo, sensing: Sensing) {
-        let on = if sensing == Sensing::Estimated { " on sensors" } else { "" };
-        let line = format!("{} {}{on}: {:.1} s", info.id, info.name, self.begun.elapsed().as_secs_f64());
-        self.bar.suspend(|| terminal::note(line));
-    }
-
-    /// Removes the bar.
-    pub fn finish(&self) {
-        self.bar.finish_and_clear();
-    }
+    let left_s = start.elapsed().as_secs_f64() * all.saturating_sub(done) as f64 / done as f64;
+    format!("; {trials} trials left, about {}", duration(left_s))
 }
 
 /// Says for which other process this one waits.
