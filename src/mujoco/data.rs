@@ -424,15 +424,28 @@ mod tests {
     }
 
     #[test]
-    fn a_resting_ball_is_carried_by_its_weight() {
-        let mut data = ball();
-        for _ in 0..500 {
-            data.step1().unwrap();
-            data.step2().unwrap();
+    fn a_resting_ball_is_carried_by_its_weight_and_held_on_a_slope() {
+        for cone in ["pyramidal", "elliptic"] {
+            for (condim, slope) in [(1, 0.0), (3, 0.0), (3, 2.0), (6, 2.0)] {
+                let option = format!("<option cone=\"{cone}\"/><default><geom condim=\"{condim}\"/></default><size");
+                // It cannot roll.
+                let text = BALL.replacen("<size", &option, 1).replace(
+                    "<freejoint name=\"ball\"/>",
+                    "\
+                    <joint type=\"slide\" axis=\"1 0 0\"/><joint type=\"slide\" axis=\"0 0 1\"/>",
+                );
+                let mut data = Data::new(Model::from_xml(&[("ball.xml", &text)]).unwrap()).unwrap();
+                data.set_gravity([slope, 0.0, -9.81]);
+                for _ in 0..500 {
+                    data.step1().unwrap();
+                    data.step2().unwrap();
+                }
+                let force = data.contact_force(data.contacts().next().unwrap().index);
+                // The floor is the first geometry: the force is on the ball, upwards, 1 kg · 9.81 m/s², and against the slope.
+                let error = [force[0] + slope, force[1], force[2] - 9.81];
+                assert!(error.iter().all(|error| error.abs() < 0.01), "{cone} {condim} {slope}: {force:?}");
+            }
         }
-        let force = data.contact_force(data.contacts().next().unwrap().index);
-        // The floor is the first geometry: the force is on the ball, upwards, 1 kg · 9.81 m/s².
-        assert!((force[2] - 9.81).abs() < 1e-3 && force[0].abs() < 1e-6 && force[1].abs() < 1e-6, "{force:?}");
     }
 
     #[test]
