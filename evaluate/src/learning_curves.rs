@@ -4,7 +4,7 @@ Each run is averaged over windows of a fiftieth of the longest run of all sets; 
 range, as far as all of them have come.
 */
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use supple::policy::shipped;
 use supple::train::metrics::IterationMetrics;
@@ -14,6 +14,8 @@ use supple::util::files::FileError;
 use crate::plot::axes::{Panel, draw_legend, range_from_zero};
 use crate::plot::svg::Svg;
 use crate::plot::{BAND, WIDTH, colour, line};
+use crate::policy_sets::{PolicySet, PolicySets};
+use crate::section_content::Figure;
 
 /// Number of windows of the longest run.
 const WINDOWS: usize = 50;
@@ -67,14 +69,17 @@ impl LearningSet {
     pub fn read(name: &str, path: &Path) -> Result<Self, FileError> {
         let seeds = shipped::seeds_at(path).into_iter().filter_map(|(_, file)| Some(file.parent()?.to_owned()));
         let folders = if path.is_dir() { vec![path.to_owned()] } else { seeds.collect() };
+        let found = Self::from_folders(name, &folders)?;
+        found.ok_or_else(|| {
+            FileError::of("run", path)("it has no metrics: give a run's folder, or the common name of runs")
+        })
+    }
+
+    /// Reads the metrics of those folders that have some; `None` if none has.
+    fn from_folders(name: &str, folders: &[PathBuf]) -> Result<Option<Self>, FileError> {
         let runs = folders.iter().filter(|folder| folder.join(METRICS).is_file()).map(|folder| metrics(folder));
         let runs = runs.collect::<Result<Vec<_>, _>>()?;
-        if runs.is_empty() {
-            return Err(FileError::of("run", path)(
-                "it has no metrics: give a run's folder, or the common name of runs",
-            ));
-        }
-        Ok(LearningSet { name: name.to_owned(), runs })
+        Ok((!runs.is_empty()).then(|| LearningSet { name: name.to_owned(), runs }))
     }
 
     /// Returns the points (x, mean, least, largest) of a quantity, for windows of a width.
@@ -91,6 +96,22 @@ impl LearningSet {
         };
         (0..WINDOWS).filter_map(point).collect()
     }
+}
+
+/// Draws the curves of those sets whose policies are in the folders of their runs, with captions; none if there are none.
+///
+/// # Errors
+/// The metrics of a run cannot be read.
+pub fn figures(policies: &PolicySets) -> Result<Vec<Figure>, FileError> {
+    let read = |set: &PolicySet| {
+        let folders = set.members.iter().filter_map(|it| Some(it.file.parent()?.to_owned()));
+        LearningSet::from_folders(&set.name, &folders.collect::<Vec<_>>()).transpose()
+    };
+    let sets: Vec<LearningSet> = policies.sets.iter().filter_map(read).collect::<Result<_, _>>()?;
+    let caption = "Learning curves: mean over the runs of a set, with their range.";
+    let figure =
+        |(over, name): (Over, &str)| Figure { name: name.into(), caption: caption.into(), svg: draw(&sets, over) };
+    Ok(if sets.is_empty() { Vec::new() } else { Over::ALL.map(figure).into() })
 }
 
 /// Draws the curves of all sets as SVG.

@@ -6,7 +6,7 @@ use super::markdown::{Rows, cells, claim_rows, columns, policy_rows, training_ro
 use super::{Report, Section, TOO_FEW, duration, other_reports};
 use crate::policy_sets::Training;
 use crate::results::EndCounts;
-use crate::section_content::{Claim, Table};
+use crate::section_content::{Claim, Figure, Table};
 use crate::statistics::Verdict;
 
 const STYLE: &str = include_str!("style.css");
@@ -144,6 +144,18 @@ fn policies(report: &Report) -> Markup {
     html! {
         h2 id="policies" { "Policies" }
         (plain_table(policy_rows(report)))
+        (figures(&report.curves))
+    }
+}
+
+fn figures(figures: &[Figure]) -> Markup {
+    html! {
+        @for figure in figures {
+            figure id={ "figure-" (figure.name) } {
+                (PreEscaped(&figure.svg))
+                figcaption { (figure.caption) }
+            }
+        }
     }
 }
 
@@ -154,12 +166,7 @@ fn experiment(section: &Section, report: &Report) -> Markup {
             h2 { (info.id) " " (info.title) @if !info.paper.is_empty() { " " small { (info.paper) } } }
             p { (info.method) }
             (notes(&content.notes))
-            @for figure in &content.figures {
-                figure id={ "figure-" (figure.name) } {
-                    (PreEscaped(&figure.svg))
-                    figcaption { (figure.caption) }
-                }
-            }
+            (figures(&content.figures))
             @for table in content.tables.iter().filter(|table| table.in_page) { (numbers(table, &report.names)) }
             (provenance(section, report))
         }

@@ -136,6 +136,8 @@ pub struct Report<'a> {
     pub sensing: SensingComparison,
     /// Other reports whose claims are shown beside these.
     pub other_reports: Vec<OtherReport>,
+    /// Learning curves of the sets that are runs.
+    pub curves: Vec<Figure>,
 }
 
 /// What stands above claims that all lack a verdict on their difference.
@@ -154,6 +156,7 @@ impl<'a> Report<'a> {
             missing: Vec::new(),
             sensing: SensingComparison::new(policies),
             other_reports: Vec::new(),
+            curves: Vec::new(),
         }
     }
 
@@ -200,11 +203,11 @@ impl<'a> Report<'a> {
             }
         }
         let renderer = Renderer::default();
+        for figure in self.sections.iter().flat_map(|section| &section.content.figures).chain(&self.curves) {
+            write(&figures.join(format!("{}.svg", figure.name)), figure.svg.as_bytes())?;
+            failed.extend(write_png(&renderer, figure, &figures)?);
+        }
         for section in &self.sections {
-            for figure in &section.content.figures {
-                write(&figures.join(format!("{}.svg", figure.name)), figure.svg.as_bytes())?;
-                failed.extend(write_png(&renderer, figure, &figures)?);
-            }
             for table in &section.content.tables {
                 write_table(&tables, table, &self.names)?;
             }

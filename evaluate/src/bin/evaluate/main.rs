@@ -50,7 +50,8 @@ fn run(args: &Args) -> anyhow::Result<()> {
     let other_reports =
         args.beside.iter().map(|(name, folder)| OtherReport::read(name, folder)).collect::<Result<Vec<_>, _>>()?;
     let command = CommandLine { experiments: args.experiments.clone(), options: args.options() };
-    let mut report = Report { other_reports, ..Report::new(&policies, name, command) };
+    let curves = learning_curves::figures(&policies)?;
+    let mut report = Report { other_reports, curves, ..Report::new(&policies, name, command) };
     let on_sensors = report.sensing.notes.iter().filter(|_| args.sensing == Sensing::Estimated);
     policies.notes.iter().chain(on_sensors).for_each(|note| terminal::note(format_args!("note: {note}")));
     prepare(args)?;
