@@ -177,6 +177,12 @@ function draw() {
   waiting = null;
   if (!state) return;
   show($("numbers"), state.robots);
+  // A robot alone has the colours of its own parts.
+  const titles = state.robots.length > 1 ? state.robots.map(({ title }) => title) : [];
+  [...$("legend").children].slice(0, 2).forEach((item, robot) => {
+    item.hidden = !titles[robot];
+    if (item.textContent !== (titles[robot] ?? "")) item.textContent = titles[robot] ?? "";
+  });
   showCompliance($("compliance"), state.robots, (robot, compliance) => send({ comply: { robot, compliance } }));
   const { rate, speed, paused, behind, driver } = state;
   const times = rate == null ? "" : ` ${rate.toFixed(2)} ×`;

@@ -42,7 +42,7 @@ const ROWS = [
 
 /** Shows the numbers of robots in a table. */
 export function show(table, robots) {
-  const names = robots.map(({ name }) => name);
+  const names = robots.map(({ title }) => title);
   if (table.dataset.names !== names.join("\n")) build(table, names);
   ROWS.forEach(([, , tell], row) => {
     robots.forEach((robot, column) => {

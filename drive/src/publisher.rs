@@ -9,6 +9,7 @@ use supple::robot::GRAVITY_M_S2;
 use supple::scenario::session::{Act, Input, LiveReadout, LiveSession, RobotStep, SceneKind};
 use supple::scenario::trace::EventKind;
 use supple::task::Command;
+use supple::util::numbers::short;
 use tokio::sync::watch;
 
 use crate::clock::Clock;
@@ -63,6 +64,13 @@ pub struct Facts {
     pub weight_n: f64,
     /// Time between two frames \[s\].
     pub period_s: f64,
+}
+
+impl Facts {
+    /// Returns the title of a robot of this name, with the compliance that is commanded now.
+    fn title(&self, name: &str) -> String {
+        self.compliance.map_or_else(|| name.to_owned(), |compliance| format!("{name}@{}", short(compliance)))
+    }
 }
 
 impl Shown for LiveSession {
@@ -200,7 +208,8 @@ impl Publisher {
                 *last = Some(event.clone());
             }
             for event in played.events.iter().filter(|event| event.kind != EventKind::Disturbance) {
-                let text = format!("{}: {}", self.shown.cast.names[robot], event.text);
+                let title = world.facts()[robot].title(&self.shown.cast.names[robot]);
+                let text = format!("{title}: {}", event.text);
                 // A policy that fails does so in every step.
                 let is_known = event.kind == EventKind::Fault && self.notices.contains(&text);
                 if !is_known {
@@ -230,6 +239,7 @@ impl Publisher {
             let frame = self.shown.frames[index].as_deref();
             let [forward, left, _] = frame.map_or([0.0; 3], |frame| frame.velocity_in_heading);
             RobotStatus {
+                title: facts.title(&self.shown.cast.names[index]),
                 name: self.shown.cast.names[index].clone(),
                 policy: facts.policy,
                 robot: facts.robot,

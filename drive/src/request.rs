@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 use supple::scenario::session::{Act, PushUnit, Reading, SceneKind};
 use supple::task::Command;
+use supple::util::terminal::echo;
 
 /// Number that identifies a page's connection.
 pub type PageId = u64;
@@ -60,7 +61,8 @@ impl Request {
     /// # Errors
     /// Says in words why the message is invalid.
     pub fn parse(text: &str) -> Result<Self, String> {
-        let request = serde_json::from_str(text).map_err(|error| format!("it is no request of a page: {error}"))?;
+        let request = serde_json::from_str(text)
+            .map_err(|error| format!("it is no request of a page: {}", echo(&error.to_string())))?;
         // JSON has no infinity, but 1e999 is read as one.
         match &request {
             Request::Act(act) if !act.is_finite() => Err("a number is out of range".to_owned()),
@@ -155,6 +157,8 @@ pub struct State {
 pub struct RobotStatus {
     /// Unique name of the robot in the viewer.
     pub name: String,
+    /// Name of the robot with its commanded compliance, such as `baseline@0.03`.
+    pub title: String,
     /// Policy as it was requested: name, file or run folder.
     pub policy: String,
     /// Robot as it was requested: name or file.

@@ -93,6 +93,12 @@ fn keys_walk_and_pad_pushes_and_pulls_robots() {
     browser.wait("Math.abs(state.robots[1].compliance - 0.5 * state.robots[1].reach[0][1]) < 0.002");
     assert_eq!(browser.value("state.robots[0].compliance"), serde_json::Value::Null);
     browser.wait("document.querySelector('#compliance').innerText.includes('own, 0.0')");
+    // Titles say what is commanded now.
+    let title = "`${state.robots[1].name}@${+state.robots[1].compliance.toFixed(6)}`";
+    for place in ["#numbers thead", "#legend .second"] {
+        browser.wait(&format!("document.querySelector('{place}').innerText.includes({title})"));
+    }
+    assert_eq!(browser.value("document.querySelector('#legend .first').innerText"), "compliant");
 
     assert_eq!(browser.complaints, [""; 0]);
     let ours = format!("http://{}", drive.host);
@@ -118,7 +124,15 @@ fn viewer_draws_and_page_fits_phone() {
         std::thread::sleep(Duration::from_millis(200));
     }
     assert!(picture.len() > 60_000, "the viewer draws nothing: {} bytes", picture.len());
-    // Nothing is wider than the screen.
+    // Nothing is wider than the screen, and sticks are whole on phones and beside robots.
     assert_eq!(browser.value("document.documentElement.scrollWidth"), 390);
+    let fits = "['#stick', '#wheel', '#pad'].every((it) => document.querySelector(it).getBoundingClientRect().bottom < innerHeight)";
+    let narrow = "document.querySelector('#panel').scrollWidth - document.querySelector('#panel').clientWidth";
+    for [width, height] in [[390, 780], [900, 600], [1440, 900]] {
+        let size = serde_json::json!({ "width": width, "height": height, "deviceScaleFactor": 1, "mobile": false });
+        browser.call("Emulation.setDeviceMetricsOverride", size);
+        browser.wait(&format!("innerWidth === {width} && {fits}"));
+        assert_eq!(browser.value(narrow), 0, "{width}");
+    }
     assert_eq!(browser.complaints, [""; 0]);
 }

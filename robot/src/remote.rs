@@ -1,5 +1,6 @@
 /*! The state of the robot's remote, as the 40 bytes `wireless_remote` of the robot's state carry it. */
 
+use supple::config::CommandRange;
 use supple::task::Command;
 
 /// Buttons of the remote, by the bit that carries them.
@@ -67,11 +68,33 @@ impl Remote {
     }
 }
 
+/// Largest distance beyond the range that counts as a rounding [m/s], [rad/s].
+const ROUNDING: f64 = 1e-6;
+
 /// The velocities that full sticks mean: forward [m/s], left [m/s], yaw rate [rad/s].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FullSticks(pub [f64; 3]);
 
 impl FullSticks {
+    /// Returns the velocities of full sticks for a policy: the ends of its range.
+    pub fn new(range: &CommandRange) -> Self {
+        FullSticks([range.forward_m_s, range.left_m_s, range.yaw_rad_s])
+    }
+
+    /// Checks that a velocity (forward, left, yaw) is within the range, but for rounding.
+    ///
+    /// # Errors
+    /// Says which part of it is beyond.
+    pub fn check(&self, velocity: [f64; 3]) -> Result<(), String> {
+        let parts = [("forward", "m/s"), ("left", "m/s"), ("yaw", "rad/s")];
+        for (((name, unit), found), most) in parts.into_iter().zip(velocity).zip(self.0) {
+            if found.is_nan() || found.abs() > most + ROUNDING {
+                return Err(format!("{name} is {found:?} {unit}, expected -{most} to {most} {unit}"));
+            }
+        }
+        Ok(())
+    }
+
     /// Returns the remote's sticks for a command: left stick forward and sideways, right stick turning.
     pub fn remote(&self, command: &Command) -> Remote {
         let [forward, left, yaw] = self.0;

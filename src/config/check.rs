@@ -28,6 +28,15 @@ const MAX_POLICY_BYTES: u64 = 56 << 20;
 /// Maximum number of epochs; each has its own order of the samples in memory.
 pub const MAX_EPOCHS: usize = 1000;
 
+/// Largest number of samples of a run, and of iterations between two checkpoints: a thousand years of training.
+pub const MAX_SAMPLES: u64 = 1_000_000_000_000_000;
+
+/// Largest weight and gain, which no sensible one comes near to.
+const MAX_WEIGHT: f64 = 1e6;
+
+/// Largest angle of the nominal pose \[rad\].
+const MAX_ANGLE_RAD: f64 = 100.0;
+
 /// A value out of its range.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ValueError {
@@ -118,26 +127,20 @@ pub fn fraction(value: &f64, _: &Config) -> garde::Result {
     require((0.0..=1.0).contains(value), value, "0 to 1")
 }
 
-pub fn positive(value: &f64, _: &Config) -> garde::Result {
-    require(*value > 0.0 && value.is_finite(), value, "a positive number")
-}
-
-pub fn not_negative(value: &f64, _: &Config) -> garde::Result {
-    require(*value >= 0.0 && value.is_finite(), value, "a number not below zero")
+/// A value above zero and up to `most`.
+pub fn positive(most: f64) -> impl FnOnce(&f64, &Config) -> garde::Result {
+    move |value, _| require(*value > 0.0 && *value <= most, value, format!("a positive number up to {most}"))
 }
 
 pub fn gains_not_negative(gain: &PerJoint, _: &Config) -> garde::Result {
-    let valid = gain.joints().iter().all(|gain| *gain >= 0.0 && gain.is_finite());
-    require(valid, gain, "a number not below zero, three (hip, thigh, calf), or twelve")
+    let valid = gain.joints().iter().all(|gain| (0.0..=MAX_WEIGHT).contains(gain));
+    require(valid, gain, format!("a number from 0 to {MAX_WEIGHT}, three (hip, thigh, calf), or twelve"))
 }
 
 /// The weight of a cost.
 pub fn cost(value: &f64, _: &Config) -> garde::Result {
-    require(*value <= 0.0 && value.is_finite(), value, "a number not above zero: what is weighted is a cost")
-}
-
-pub fn at_least_one(value: &u64, _: &Config) -> garde::Result {
-    require(*value > 0, value, "at least 1")
+    let expected = format!("a number not above zero, from -{MAX_WEIGHT}: what is weighted is a cost");
+    require((-MAX_WEIGHT..=0.0).contains(value), value, expected)
 }
 
 pub fn physics_rate(rate: &u32, config: &Config) -> garde::Result {
@@ -151,8 +154,8 @@ pub fn physics_rate(rate: &u32, config: &Config) -> garde::Result {
 }
 
 pub fn finite_angles(pose: &PerJoint, _: &Config) -> garde::Result {
-    let valid = !matches!(pose, PerJoint::Same(_)) && pose.joints().iter().all(|angle| angle.is_finite());
-    require(valid, pose, "three finite angles (hip, thigh, calf), or twelve")
+    let valid = !matches!(pose, PerJoint::Same(_)) && pose.joints().iter().all(|angle| angle.abs() <= MAX_ANGLE_RAD);
+    require(valid, pose, format!("three angles (hip, thigh, calf) within ±{MAX_ANGLE_RAD} rad, or twelve"))
 }
 
 pub fn a_step_to_an_hour(duration_s: &f64, config: &Config) -> garde::Result {
@@ -181,8 +184,8 @@ pub fn rising_to_one(fractions: &[f64], _: &Config) -> garde::Result {
 
 pub fn low_and_high(friction: &[f64; 2], _: &Config) -> garde::Result {
     let [low, high] = *friction;
-    let valid = 0.0 < low && low <= high && high.is_finite();
-    require(valid, format!("{friction:?}"), "[low, high] with 0 < low <= high")
+    let valid = 0.0 < low && low <= high && high <= 100.0;
+    require(valid, format!("{friction:?}"), "[low, high] with 0 < low <= high <= 100")
 }
 
 pub fn divides_batch(count: &usize, config: &Config) -> garde::Result {

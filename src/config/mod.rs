@@ -326,11 +326,15 @@ mod tests {
                 "environments: 60",
                 "config test: ppo.environments is 60, expected a divisor of ppo.batch_size (8192)",
             ),
-            ("scale_rad: 0.3", "scale_rad: .nan", "config test: action.scale_rad is NaN, expected a positive number"),
+            (
+                "scale_rad: 0.3",
+                "scale_rad: .nan",
+                "config test: action.scale_rad is NaN, expected a positive number up to 100",
+            ),
             (
                 "energy: -0.015",
                 "energy: 0.015",
-                "config test: reward.energy is 0.015, expected a number not above zero: what is weighted is a cost",
+                "config test: reward.energy is 0.015, expected a number not above zero, from -1000000: what is weighted is a cost",
             ),
         ];
         for (from, to, message) in cases {
@@ -403,8 +407,8 @@ mod tests {
         }
     }
 
-    #[test]
-    fn no_optional_key_is_written_at_its_default() {
+    /// A configuration that states every optional section and key.
+    fn every_key() -> Config {
         let changes = [
             "ppo.shards=2",
             "robot={friction_loss_n_m: 0.1, damping_n_m_s_per_rad: 0.1}",
@@ -412,7 +416,49 @@ mod tests {
             "observation.append=[{quantity: clock_sin, frequency_hz: 2.0, phases: [0.5], steps_ago: 1, clip: 1.0}]",
             "terrain={environments: 0.5, levels: 6, rough_m: [0.01, 0.06], boxes_m: [0.02, 0.08], sharpness_factor: 0.5}",
         ];
-        let all = yaml::without_defaults(&Config::load_with("real", &changes.map(str::to_owned)).unwrap());
+        Config::load_with("real", &changes.map(str::to_owned)).unwrap()
+    }
+
+    /// Sets the number at a place, counted through all of a value, and returns the key that it belongs to.
+    fn set_number(value: &mut Value, key: &str, place: &mut usize, number: f64) -> Option<String> {
+        match value {
+            Value::Number(old) if *place == 0 => {
+                *old = number.into();
+                Some(key.to_owned())
+            }
+            Value::Number(_) => {
+                *place -= 1;
+                None
+            }
+            Value::Sequence(values) => values.iter_mut().find_map(|value| set_number(value, key, place, number)),
+            Value::Mapping(keys) => {
+                keys.iter_mut().find_map(|(key, value)| set_number(value, key.as_str()?, place, number))
+            }
+            _ => None,
+        }
+    }
+
+    #[test]
+    fn every_number_has_bounds_that_its_error_names() {
+        let all = yaml::to_value(&every_key());
+        let with = |place: usize, number: f64| {
+            let mut config = all.clone();
+            set_number(&mut config, "", &mut place.clone(), number).map(|key| (key, config))
+        };
+        let mut places = 0;
+        for (place, number) in (0..).flat_map(|place| [(place, 1e308), (place, -1e308)]) {
+            let Some((key, config)) = with(place, number) else { break };
+            let error =
+                Config::from_value("test", config, &[]).err().map(|error| error.to_string()).unwrap_or_default();
+            assert!(error.contains(&key) && error.contains("expected"), "{number:e} for {key}: {error}");
+            places = place + 1;
+        }
+        assert!(places >= 140, "only {places} numbers");
+    }
+
+    #[test]
+    fn no_optional_key_is_written_at_its_default() {
+        let all = yaml::without_defaults(&every_key());
         let mut optional = 0;
         for without in (0..).map_while(|key| yaml::without_entry(&all, key)) {
             // It is required if it is missed.

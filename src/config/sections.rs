@@ -7,10 +7,10 @@ use garde::Validate;
 use serde::{Deserialize, Serialize};
 
 use super::check::{
-    MAX_BATCH_SIZE, MAX_EPOCHS, MAX_STAGE_S, a_step_to_an_hour, at_least_one, between_learning_rates, cost, delays,
+    MAX_BATCH_SIZE, MAX_EPOCHS, MAX_SAMPLES, MAX_STAGE_S, a_step_to_an_hour, between_learning_rates, cost, delays,
     divides_batch, divides_batch_above_one, finite_angles, fraction, gains_not_negative, layer_widths, low_and_high,
-    not_negative, physics_rate, positive, power_of_two_that_divides, rising_to_one, shortest_and_longest,
-    supported_precision, within,
+    physics_rate, positive, power_of_two_that_divides, rising_to_one, shortest_and_longest, supported_precision,
+    within,
 };
 use super::{Config, LOG_STD_RANGE};
 use crate::robot::{JOINTS, Joints, Losses, Robot, same_in_every_leg};
@@ -27,11 +27,11 @@ pub struct RobotModel {
     pub model: String,
     /// Dry friction of every joint [N·m].
     #[serde(default)]
-    #[garde(custom(not_negative))]
+    #[garde(custom(within(0.0..=1e3, " N m")))]
     pub friction_loss_n_m: f64,
     /// Viscous damping of every joint, in addition to `K_d` [N·m·s/rad].
     #[serde(default)]
-    #[garde(custom(not_negative))]
+    #[garde(custom(within(0.0..=1e3, " N m s/rad")))]
     pub damping_n_m_s_per_rad: f64,
 }
 
@@ -165,7 +165,7 @@ pub struct Action {
     #[garde(custom(finite_angles))]
     pub nominal_pose_rad: PerJoint,
     /// \[rad\] per unit of action.
-    #[garde(custom(positive))]
+    #[garde(custom(positive(100.0)))]
     pub scale_rad: f64,
 }
 
@@ -175,13 +175,13 @@ pub struct Action {
 #[garde(context(Config))]
 pub struct CommandRange {
     /// Largest forward velocity, `v_z*` of the paper [m/s].
-    #[garde(custom(not_negative))]
+    #[garde(custom(within(0.0..=100.0, " m/s")))]
     pub forward_m_s: f64,
     /// Largest velocity to the left, `v_x*` of the paper [m/s].
-    #[garde(custom(not_negative))]
+    #[garde(custom(within(0.0..=100.0, " m/s")))]
     pub left_m_s: f64,
     /// `ω_y*` of the paper [rad/s].
-    #[garde(custom(not_negative))]
+    #[garde(custom(within(0.0..=100.0, " rad/s")))]
     pub yaw_rad_s: f64,
     /// Fraction of the range that is open at first.
     #[garde(custom(fraction))]
@@ -215,16 +215,16 @@ pub struct Episode {
     #[garde(custom(fraction))]
     pub push_gate: f64,
     /// Largest push along forward and left [m/s].
-    #[garde(custom(not_negative))]
+    #[garde(custom(within(0.0..=100.0, " m/s")))]
     pub push_speed_m_s: f64,
     /// Largest rotational push about each axis [rad/s].
-    #[garde(custom(not_negative))]
+    #[garde(custom(within(0.0..=100.0, " rad/s")))]
     pub push_rate_rad_s: f64,
     /// Steepest slope of the ground (rise over run).
     #[garde(custom(fraction))]
     pub slope: f64,
     /// Base height below which the robot has fallen \[m\].
-    #[garde(custom(not_negative))]
+    #[garde(custom(within(0.0..=10.0, " m")))]
     pub min_height_m: f64,
 }
 
@@ -234,7 +234,7 @@ pub struct Episode {
 #[garde(context(Config))]
 pub struct Pulls {
     /// Largest force of a pull \[N\].
-    #[garde(custom(not_negative))]
+    #[garde(custom(within(0.0..=1e5, " N")))]
     pub force_n: f64,
     /// The shortest and the longest pull \[s\].
     #[garde(custom(shortest_and_longest))]
@@ -265,7 +265,7 @@ pub struct Pulls {
 #[garde(context(Config))]
 pub struct HeldFeet {
     /// Largest horizontal force on a foot \[N\].
-    #[garde(custom(not_negative))]
+    #[garde(custom(within(0.0..=1e5, " N")))]
     pub force_n: f64,
     /// Stiffness of the spring [N/m].
     #[garde(custom(within(0.0..=2000.0, " N/m")))]
@@ -287,10 +287,10 @@ pub struct HeldFeet {
 #[garde(context(Config))]
 pub struct Reward {
     /// Weight `w_lin` of the linear velocity reward.
-    #[garde(custom(not_negative))]
+    #[garde(custom(within(0.0..=1e6, "")))]
     pub linear_velocity: f64,
     /// Weight `w_ang` of the yaw rate reward.
-    #[garde(custom(not_negative))]
+    #[garde(custom(within(0.0..=1e6, "")))]
     pub angular_velocity: f64,
     /// Weight `w_e` of the energy cost; not above zero.
     #[garde(custom(cost))]
@@ -311,19 +311,19 @@ pub struct Reward {
     #[garde(custom(cost))]
     pub flight: f64,
     /// Sharpness of `r_lin` and `r_ang`; 8 in the paper.
-    #[garde(custom(not_negative))]
+    #[garde(custom(within(0.0..=1e6, "")))]
     pub tracking_sharpness: f64,
     /// Sharpness of the height in `r_pose`; 10 in the paper [1/m²].
-    #[garde(custom(not_negative))]
+    #[garde(custom(within(0.0..=1e6, " per m²")))]
     pub height_sharpness: f64,
     /// Sharpness of the negative part in equation 3; 0.45 in the paper.
-    #[garde(custom(not_negative))]
+    #[garde(custom(within(0.0..=1e6, "")))]
     pub negative_sharpness: f64,
     /// Desired base height `y_des` \[m\].
-    #[garde(custom(positive))]
+    #[garde(custom(positive(10.0)))]
     pub base_height_m: f64,
     /// Desired peak height of a foot's swing, `p_des` \[m\].
-    #[garde(custom(positive))]
+    #[garde(custom(positive(10.0)))]
     pub foot_height_m: f64,
 }
 
@@ -339,14 +339,14 @@ pub struct Randomisation {
     #[garde(custom(low_and_high))]
     pub friction: [f64; 2],
     /// Standard deviation of the encoder bias, which the paper calls calibration offset \[rad\].
-    #[garde(custom(not_negative))]
+    #[garde(custom(within(0.0..=10.0, " rad")))]
     pub encoder_bias_sd_rad: f64,
     /// Sliding friction when randomisation is off.
-    #[garde(custom(positive))]
+    #[garde(custom(positive(100.0)))]
     pub default_friction: f64,
     /// Largest mass that is added to the trunk or taken from it \[kg\]; 0 if missing, as all of the following.
     #[serde(default)]
-    #[garde(custom(not_negative))]
+    #[garde(custom(within(0.0..=1e4, " kg")))]
     pub trunk_mass_kg: f64,
     /// Largest displacement of the trunk's centre of mass along each axis \[m\].
     #[serde(default)]
@@ -361,27 +361,27 @@ pub struct Randomisation {
     pub latency_s: Option<[f64; 2]>,
     /// Largest dry friction of the joints, in addition to the robot's [N·m].
     #[serde(default)]
-    #[garde(custom(not_negative))]
+    #[garde(custom(within(0.0..=1e3, " N m")))]
     pub joint_friction_n_m: f64,
     /// Largest viscous damping of the joints, in addition to the robot's [N·m·s/rad].
     #[serde(default)]
-    #[garde(custom(not_negative))]
+    #[garde(custom(within(0.0..=1e3, " N m s/rad")))]
     pub joint_damping_n_m_s_per_rad: f64,
     /// Standard deviation of the observed angular velocity about each axis in a policy step [rad/s].
     #[serde(default)]
-    #[garde(custom(not_negative))]
+    #[garde(custom(within(0.0..=100.0, " rad/s")))]
     pub gyro_noise_sd_rad_s: f64,
     /// Standard deviation of the constant error of the angular velocity about each axis [rad/s].
     #[serde(default)]
-    #[garde(custom(not_negative))]
+    #[garde(custom(within(0.0..=100.0, " rad/s")))]
     pub gyro_bias_sd_rad_s: f64,
     /// Standard deviation of the constant error of roll and pitch in the observed gravity \[rad\].
     #[serde(default)]
-    #[garde(custom(not_negative))]
+    #[garde(custom(within(0.0..=10.0, " rad")))]
     pub tilt_error_sd_rad: f64,
     /// Standard deviation of the constant error of the observed felt force, forward and left \[N\].
     #[serde(default)]
-    #[garde(custom(not_negative))]
+    #[garde(custom(within(0.0..=1e5, " N")))]
     pub felt_force_error_sd_n: f64,
 }
 
@@ -416,13 +416,13 @@ pub struct Ppo {
     #[garde(skip)]
     pub symmetry: bool,
     /// Clip range of the probability ratio.
-    #[garde(custom(positive))]
+    #[garde(custom(positive(1e6)))]
     pub clip_range: f64,
     /// Weight of the entropy bonus; of the first iteration, with `final_entropy_coefficient`.
-    #[garde(custom(not_negative))]
+    #[garde(custom(within(0.0..=1e3, "")))]
     pub entropy_coefficient: f64,
     /// Weight of the entropy bonus at the last sample of the run, which changes linearly until then; `None`: constant.
-    #[garde(inner(custom(not_negative)))]
+    #[garde(inner(custom(within(0.0..=1e3, ""))))]
     pub final_entropy_coefficient: Option<f64>,
     /// Discount factor γ.
     #[garde(custom(fraction))]
@@ -431,7 +431,7 @@ pub struct Ppo {
     #[garde(custom(fraction))]
     pub gae_lambda: f64,
     /// KL divergence that the adaptive learning rate aims at.
-    #[garde(custom(positive))]
+    #[garde(custom(positive(1e3)))]
     pub desired_kl: f64,
     /// Logarithm of the initial standard deviation.
     #[garde(custom(within(LOG_STD_RANGE.map(f64::from)[0]..=LOG_STD_RANGE.map(f64::from)[1], "")))]
@@ -443,22 +443,22 @@ pub struct Ppo {
     #[garde(custom(divides_batch))]
     pub environments: usize,
     /// Weight of the value loss.
-    #[garde(custom(not_negative))]
+    #[garde(custom(within(0.0..=1e6, "")))]
     pub value_coefficient: f64,
     /// Largest norm of the joint gradient; larger gradients are scaled down.
-    #[garde(custom(positive))]
+    #[garde(custom(positive(1e6)))]
     pub max_gradient_norm: f64,
     /// ε of Adam.
-    #[garde(custom(positive))]
+    #[garde(custom(positive(1.0)))]
     pub adam_epsilon: f64,
     /// Learning rate of the first gradient step.
     #[garde(custom(between_learning_rates))]
     pub initial_learning_rate: f64,
     /// Lower bound of the adaptive rate.
-    #[garde(custom(positive))]
+    #[garde(custom(positive(10.0)))]
     pub min_learning_rate: f64,
     /// Upper bound of the adaptive rate.
-    #[garde(custom(positive))]
+    #[garde(custom(positive(10.0)))]
     pub max_learning_rate: f64,
 }
 
@@ -509,13 +509,13 @@ impl Ppo {
 #[garde(context(Config))]
 pub struct Run {
     /// Number of samples in the whole run.
-    #[garde(skip)]
+    #[garde(custom(within(0..=MAX_SAMPLES, "")))]
     pub samples: u64,
     /// Iterations between checkpoints.
-    #[garde(custom(at_least_one))]
+    #[garde(custom(within(1..=MAX_SAMPLES, "")))]
     pub checkpoint_every: u64,
     /// Number of samples between policies kept as `policy-SAMPLES.safetensors` in addition to the newest; none are kept
     /// without it.
-    #[garde(inner(custom(at_least_one)))]
+    #[garde(inner(custom(within(1..=MAX_SAMPLES, ""))))]
     pub keep_policy_every: Option<u64>,
 }

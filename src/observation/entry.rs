@@ -156,7 +156,11 @@ pub(super) fn block(entry: &Observed) -> Result<ObservationBlock> {
     let frequency_hz = match entry.frequency_hz {
         Some(frequency) if kind == Kind::Clock && (0.0..=1e3).contains(&frequency) => frequency,
         None if kind != Kind::Clock => 0.0,
-        _ => return Err(LayoutError::Form("clocks, and they alone, need a `frequency_hz` of 0 to 1000 Hz".into())),
+        found => {
+            let found = found.map_or_else(|| "is missing".to_owned(), |found| format!("is {found}"));
+            let expected = "0 to 1000 Hz for a clock, and none for others".into();
+            return Err(LayoutError::Value { key: "frequency_hz", found, expected });
+        }
     };
     let width = match kind {
         Kind::Scalar => 1,
@@ -166,8 +170,10 @@ pub(super) fn block(entry: &Observed) -> Result<ObservationBlock> {
         Kind::FootVectors => LEGS.len() * axes.len(),
         Kind::Clock | Kind::Constant => values.len(),
     };
-    if !values.iter().all(|value| value.is_finite()) || width > MAX_LENGTH {
-        return Err(LayoutError::Form("its `values` or `phases` are not finite, or too many".into()));
+    if !values.iter().all(|value| value.abs() <= MOST) || width > MAX_LENGTH {
+        let expected =
+            format!("its `values` or `phases` are {values:?}, expected up to {MAX_LENGTH} numbers within ±{MOST:e}");
+        return Err(LayoutError::Form(expected));
     }
     let steps_ago = match &entry.steps_ago {
         None => vec![0],
@@ -239,6 +245,9 @@ fn axis(name: &str, third: &str) -> Result<(usize, f64)> {
     }
 }
 
+/// Largest number of an entry: single precision and its squares stay finite.
+const MOST: f64 = 1e9;
+
 /// Checks an offset or a scale, and returns one finite number for each element.
 pub(crate) fn numbers(key: &'static str, found: Option<&Numbers>, width: usize, default: f64) -> Result<Vec<f64>> {
     let numbers = match found {
@@ -253,8 +262,9 @@ pub(crate) fn numbers(key: &'static str, found: Option<&Numbers>, width: usize, 
         let (found, expected) = (format!("has {} numbers", numbers.len()), format!("one, or {width}"));
         return Err(LayoutError::Value { key, found, expected });
     }
-    if !numbers.iter().all(|number| number.is_finite()) {
-        return Err(LayoutError::Value { key, found: format!("is {numbers:?}"), expected: "finite numbers".into() });
+    if !numbers.iter().all(|number| number.abs() <= MOST) {
+        let expected = format!("finite numbers within ±{MOST:e}");
+        return Err(LayoutError::Value { key, found: format!("is {numbers:?}"), expected });
     }
     Ok(numbers)
 }
@@ -263,10 +273,12 @@ pub(crate) fn numbers(key: &'static str, found: Option<&Numbers>, width: usize, 
 pub(crate) fn limit(key: &'static str, found: Option<f64>) -> Result<f64> {
     match found {
         None => Ok(f64::INFINITY),
-        Some(limit) if limit > 0.0 => Ok(limit),
-        Some(other) => {
-            Err(LayoutError::Value { key, found: format!("is {other}"), expected: "a positive number".into() })
-        }
+        Some(limit) if limit > 0.0 && limit <= MOST || limit == f64::INFINITY => Ok(limit),
+        Some(other) => Err(LayoutError::Value {
+            key,
+            found: format!("is {other}"),
+            expected: format!("a positive number up to {MOST:e}, or .inf"),
+        }),
     }
 }
 

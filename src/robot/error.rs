@@ -187,8 +187,21 @@ pub enum RobotError {
     #[error("{0}, {1} and {2} are not three hinges one below the other, expected hip, thigh and calf of one leg")]
     NotInLine(String, String, String),
     /// The robot has more joints than its legs'.
-    #[error("it has joints beside those of four legs: {0}; fix them (take their <joint> out)")]
+    #[error(
+        "it has joints beside those of four legs: {0}; name them under weld in a YAML file, as examples/robots/quadruped.yaml does, \
+         or take their <joint> out"
+    )]
     OtherJoints(String),
+    /// No joint has the name of one to weld.
+    #[error(
+        "weld has '{wanted}', expected the name of a joint, or the beginning of names with a * behind it; its joints are: {known}"
+    )]
+    NoWeld {
+        /// The name that was found.
+        wanted: String,
+        /// Names of all joints.
+        known: String,
+    },
     /// There is no geometry of this name.
     #[error("it has no geometry '{name}' for the foot of leg {leg}; its geometries with names are: {known}")]
     NoGeometry {
@@ -236,11 +249,22 @@ pub enum RobotError {
     /// Nothing at the end of a leg touches the ground.
     #[error(
         "nothing on the calf of leg {leg} collides: put a shape where its foot is, such as <geom type=\"sphere\" size=\"0.02\" \
-         pos=\"…\"/>, or in a URDF, whose meshes are left out, <collision> with <sphere radius=\"0.02\"/>"
+         pos=\"…\"/>, or in a URDF <collision> with <sphere radius=\"0.02\"/>"
     )]
     NoFoot {
         /// Name of the leg.
         leg: &'static str,
+    },
+    /// The foot of a leg is a mesh of a URDF that cannot be read.
+    #[error(
+        "nothing on the calf of leg {leg} collides, because {unread}; or give the foot in the URDF a <collision> with <sphere \
+         radius=\"0.02\"/>"
+    )]
+    FootMesh {
+        /// Name of the leg.
+        leg: &'static str,
+        /// The mesh, the reason and a way on.
+        unread: String,
     },
     /// Thigh and calf do not turn about one direction.
     #[error("the thigh and the calf of leg {0} turn about different axes, expected parallel ones")]

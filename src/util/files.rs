@@ -262,11 +262,7 @@ pub fn read_bounded(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
 /// # Errors
 /// The file cannot be read, is larger than `limit`, is a device, or is not UTF-8.
 pub fn read_text(path: &Path, limit: u64) -> io::Result<String> {
-    let mut text = utf8(read_bounded(path, limit)?)?;
-    if text.starts_with('\u{feff}') {
-        text.remove(0);
-    }
-    Ok(text)
+    utf8(read_bounded(path, limit)?)
 }
 
 /// Iterates over lines of at most `limit` bytes, without line ends.
@@ -287,7 +283,11 @@ pub fn lines(mut reader: impl BufRead, limit: u64) -> impl Iterator<Item = io::R
     })
 }
 
-fn utf8(bytes: Vec<u8>) -> io::Result<String> {
+/// Returns a text or line without its byte order mark.
+fn utf8(mut bytes: Vec<u8>) -> io::Result<String> {
+    if bytes.starts_with("\u{feff}".as_bytes()) {
+        bytes.drain(..3);
+    }
     String::from_utf8(bytes).map_err(|_| io::Error::new(io::ErrorKind::InvalidData, "it is not text in UTF-8"))
 }
 

@@ -75,6 +75,17 @@ pub fn plain(text: &str) -> Cow<'_, str> {
     text.chars().map(spelt).collect::<String>().into()
 }
 
+/// Largest number of letters of an input that a message repeats.
+const ECHO: usize = 200;
+
+/// Returns the beginning of an input for a message, with an ellipsis if that is not all.
+pub fn echo(input: &str) -> Cow<'_, str> {
+    match input.char_indices().nth(ECHO) {
+        Some((end, _)) => format!("{}…", &input[..end]).into(),
+        None => input.into(),
+    }
+}
+
 /// Writes a line, made [`plain`], to standard error, if it is still open.
 pub fn note(text: impl Display) {
     let _ = writeln!(io::stderr(), "{}", plain(&text.to_string()));

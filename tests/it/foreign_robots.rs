@@ -1,5 +1,6 @@
 //! Robots as other programs write them: newer MuJoCo, URDF, feet of any shape, settings of their own.
 
+use std::f64::consts::PI;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -676,6 +677,166 @@ fn a_urdf_is_the_robot_that_it_describes() {
     std::fs::write(at("forward.urdf"), forward).unwrap();
     let forward = Robot::load(&at("forward.urdf")).unwrap();
     assert!((forward.nominal_pose[2] - 1.44).abs() < 1e-9 && (forward.nominal_pose[1] + 0.72).abs() < 1e-9);
+}
+
+/// Writes a sphere of 20 mm as a binary STL, 32 times 16 faces, in units of `unit` metres.
+fn write_ball(path: &Path, unit: f64) {
+    let point = |ring: usize, place: usize| {
+        let (across, around) = (ring as f64 * PI / 16.0, (place % 32) as f64 * PI / 16.0);
+        [across.sin() * around.cos(), across.sin() * around.sin(), across.cos()].map(|k| (0.02 / unit * k) as f32)
+    };
+    let mut faces = Vec::new();
+    for (ring, place) in (0..16).flat_map(|ring| (0..32).map(move |place| (ring, place))) {
+        let [a, b, c, d] =
+            [point(ring, place), point(ring + 1, place), point(ring + 1, place + 1), point(ring, place + 1)];
+        faces.extend([[a, b, c], [a, c, d]].into_iter().skip(usize::from(ring == 15)).take(if ring == 0 {
+            1
+        } else {
+            2
+        }));
+    }
+    let mut bytes = [vec![0; 80], (faces.len() as u32).to_le_bytes().to_vec()].concat();
+    for face in faces {
+        let numbers = [[0.0; 3], face[0], face[1], face[2]].into_iter().flatten();
+        bytes.extend(numbers.flat_map(f32::to_le_bytes).chain([0; 2]));
+    }
+    std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+    std::fs::write(path, bytes).unwrap();
+}
+
+#[test]
+fn feet_of_a_urdf_may_be_meshes() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    write_ball(&at("my_robot/meshes/foot.stl"), 0.001);
+    write_ball(&at("my_robot/urdf/near.stl"), 1.0);
+    let load = |name: &str, foot: &str, shank: &str| {
+        let path = at("my_robot/urdf").join(name);
+        let on_shank = format!("_calf'><collision><geometry>{shank}</geometry></collision><inertial>");
+        let text =
+            urdf(foot).replace("_calf'><inertial>", if shank.is_empty() { "_calf'><inertial>" } else { &on_shank });
+        std::fs::write(&path, text).unwrap();
+        Robot::load(path.to_str().unwrap()).map_err(|error| error.to_string())
+    };
+    let ball = load("ball.urdf", "<sphere radius='0.02'/>", "").unwrap();
+    let scaled = "scale='0.001 0.001 0.001'";
+    for (name, foot, shank) in [
+        ("package.urdf", format!("<mesh filename='package://my_robot/meshes/foot.stl' {scaled}/>"), ""),
+        ("elsewhere.urdf", "<mesh filename='package://elsewhere/lost/near.stl'/>".to_owned(), ""),
+        ("relative.urdf", format!("<mesh filename='../meshes/foot.stl' {scaled}/>"), ""),
+        ("shank.urdf", "<mesh filename='near.stl'/>".to_owned(), "<cylinder radius='0.01' length='0.1'/>"),
+        // A finer mesh of the same shank, which is not read.
+        ("dae.urdf", "<sphere radius='0.02'/>".to_owned(), "<mesh filename='package://my_robot/shank.dae'/>"),
+    ] {
+        let robot = load(name, &foot, shank).unwrap();
+        assert!((height(&robot) - height(&ball)).abs() < 1e-3, "{name}: {} {}", height(&robot), height(&ball));
+        let report = robot.report.join("\n");
+        assert_eq!(report.contains("shape is read from the meshes"), name != "dae.urdf", "{report}");
+        for (leg, own) in robot.legs.iter().zip(&ball.legs) {
+            let [found, expected] = [leg, own].map(|leg| leg.foot_position([0.1, 0.6, -1.2]));
+            assert!((found - expected).norm() < 1e-3, "{name}: {found} {expected}");
+            assert!((leg.foot_radius_m - 0.02).abs() < 1e-3, "{name}: {}", leg.foot_radius_m);
+        }
+    }
+    for (foot, problem) in [
+        (
+            "<mesh filename='foot.dae'/>",
+            "of FL_foot, FR_foot, RL_foot, RR_foot has a format that is not read, expected STL",
+        ),
+        ("<mesh filename='package://r/gone.stl'/>", "is not there, expected "),
+    ] {
+        let error = load("bad.urdf", foot, "").unwrap_err();
+        assert!(error.contains("nothing on the calf of leg FR collides, because line 12: the mesh"), "{error}");
+        assert!(error.contains(problem) && error.lines().count() == 1, "{error}");
+    }
+}
+
+#[test]
+fn joints_beside_those_of_the_legs_are_welded() {
+    // An arm of 0.4 + 0.2 kg whose upper part leans forward by 0.5 rad in the keyframe, and a motor.
+    let arm = "<body name='arm' pos='0 0 0.1'><inertial pos='0 0 0.2' mass='0.4' diaginertia='1e-3 1e-3 1e-4'/>\
+               <joint name='arm_1' axis='0 1 0'/><body name='hand' pos='0 0 0.3'><joint name='arm_2' type='ball'/>\
+               <inertial pos='0 0 0' mass='0.2' diaginertia='1e-4 1e-4 1e-4'/></body></body>";
+    let key = "<keyframe><key name='home' qpos='0 0 1 1 0 0 0  0.5 1 0 0 0  0 .6 -1.2  0 .6 -1.2  0 .6 -1.2  0 .6 -1.2'/></keyframe>\
+               <actuator><motor joint='arm_1'/></actuator>";
+    let armed = Foreign { parts: arm, after: key, ..foreign() };
+    let error = armed.complaint();
+    assert!(error.contains("joints beside those of four legs: arm_1, arm_2; name them under weld"), "{error}");
+    let robot = described(&armed, "weld: [arm_1, arm_2]").unwrap();
+    assert!((robot.mass_kg - 14.2).abs() < 1e-9 && (height(&robot) - HEIGHT).abs() < 1e-6, "{}", robot.mass_kg);
+    assert!(
+        robot.report.contains(&"welded: arm_1, arm_2, at the angles of its keyframe".to_owned()),
+        "{:?}",
+        robot.report
+    );
+    let mut sim = supple::mujoco::Data::new(Scene::flat(Arc::clone(&robot), 1.0 / 240.0).compile().unwrap()).unwrap();
+    sim.step1().unwrap();
+    let place = |name: &str| {
+        let body = sim.model().id(Object::Body, name).unwrap();
+        [0, 2].map(|k| sim.body_positions()[3 * body + k])
+    };
+    let ([x, z], [trunk_x, trunk_z]) = (place("robot/hand"), place("trunk"));
+    assert!((x - trunk_x - 0.3 * 0.5_f64.sin()).abs() < 1e-9, "{x}");
+    assert!((z - trunk_z - 0.1 - 0.3 * 0.5_f64.cos()).abs() < 1e-9, "{z}");
+    let beginning = described(&armed, "weld: [arm_*]").unwrap();
+    assert_eq!(beginning.stand, robot.stand);
+    assert_ne!(beginning.sha256(), robot.sha256(), "its key is a part of its identity");
+    for (weld, problem) in [
+        (
+            "[arm_3]",
+            "weld has 'arm_3', expected the name of a joint, or the beginning of names with a * behind it; its joints are: arm_1",
+        ),
+        ("[arm_1]", "joints beside those of four legs: arm_2"),
+        ("[arm_*, FR_calf_joint]", "it has no joint 'FR_calf'"),
+    ] {
+        let error = described(&armed, &format!("weld: {weld}")).unwrap_err();
+        assert!(error.contains(problem), "{error}");
+    }
+    // A URDF of a robot with wheels where its feet would be.
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let fixed = urdf("<cylinder radius='0.02' length='0.02'/>");
+    std::fs::write(at("fixed.urdf"), &fixed).unwrap();
+    let wheels = fixed.replace("_foot_fixed' type='fixed'>", "_foot_wheel' type='continuous'><axis xyz='0 1 0'/>");
+    std::fs::write(at("wheels.urdf"), wheels).unwrap();
+    std::fs::write(at("wheels.yaml"), "mjcf: wheels.urdf\nweld: [FL_foot_wheel, FR_foot_wheel, R*_wheel]\n").unwrap();
+    assert!(Robot::load(&at("wheels.yaml")).unwrap_err().to_string().contains("weld has 'R*_wheel'"));
+    std::fs::write(at("wheels.yaml"), "mjcf: wheels.urdf\nweld: [FL_foot_wheel, FR_foot_wheel, RL_f*, RR_f*]\n")
+        .unwrap();
+    let [fixed, welded] = ["fixed.urdf", "wheels.yaml"].map(|name| Robot::load(&at(name)).unwrap());
+    assert_eq!((welded.mjcf(), welded.mass_kg), (fixed.mjcf(), fixed.mass_kg));
+}
+
+#[test]
+fn every_part_whose_inertia_changes_is_named() {
+    let line = |robot: &Robot, word: &str| robot.report.iter().find(|line| line.contains(word)).cloned();
+    let settings = |compiler| line(&Foreign { compiler, ..foreign() }.robot(), "compiler settings").unwrap();
+    let change = "masses and inertias: its compiler settings change";
+    assert_eq!(settings("angle='radian' boundmass='0.2'"), format!("{change} no part"));
+    let calves = "'FL_calf', 'FR_calf', 'RL_calf', 'RR_calf'";
+    assert_eq!(settings("angle='radian' boundmass='0.35'"), format!("{change} {calves}"));
+    let unbalanced =
+        |text: String| text.replace("diaginertia='0.002 0.002 0.0001'", "diaginertia='0.001 0.002 0.0001'");
+    let own = Foreign { compiler: "angle='radian' balanceinertia='true'", ..foreign() };
+    assert_eq!(line(&read(&unbalanced(own.mjcf())).unwrap(), "settings").unwrap(), format!("{change} {calves}"));
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("robot.urdf");
+    let text = urdf("<sphere radius='0.02'/>").replace("ixx='0.002' iyy='0.002'", "ixx='0.001' iyy='0.002'");
+    std::fs::write(&path, text).unwrap();
+    let expected = format!("inertia of {calves}: no body has it (A + B < C); its three moments made equal");
+    assert_eq!(line(&Robot::load(path.to_str().unwrap()).unwrap(), "inertia of"), Some(expected));
+}
+
+#[test]
+fn robots_without_welded_joints_keep_their_identity() {
+    // Found at 23f0079, before `weld` was a key: policies name their robots by it.
+    for (robot, sha256) in [
+        ("renamed.yaml", "a69b0792cd9231c595c2cba6e6db0a52260ecf7b7d25b1caa36a9594b3036930"),
+        ("quadruped.xml", "5ceddde51a1a44de8646145908f8c24c8683b507551ebf24856076d53c267a02"),
+    ] {
+        let path = crate::support::repository("tests/fixtures/robot").join(robot);
+        assert_eq!(Robot::load(path.to_str().unwrap()).unwrap().sha256(), sha256, "{robot}");
+    }
 }
 
 #[test]

@@ -186,8 +186,7 @@ impl<'a> Bridge<'a> {
 
     /// Returns the velocities that full sticks mean: the ends of the policy's range.
     pub fn full_sticks(&self) -> FullSticks {
-        let range = &self.config.command;
-        FullSticks([range.forward_m_s, range.left_m_s, range.yaw_rad_s])
+        FullSticks::new(&self.config.command)
     }
 
     /// Takes an order at `now_s` \[s\].

@@ -2,6 +2,7 @@
 
 use serde::Deserialize;
 use supple::task::Command;
+use supple::util::terminal::echo;
 
 use super::phase::Wish;
 use crate::remote::{Button, FullSticks, Remote};
@@ -45,12 +46,13 @@ struct Velocity {
 }
 
 impl Order {
-    /// Reads a line of JSON.
+    /// Reads a line of JSON, which may begin with a byte order mark; `range` is that of the policy's velocities.
     ///
     /// # Errors
-    /// The line is neither a wish nor a velocity.
-    pub fn from_line(line: &str) -> Result<Self, OrderError> {
-        let fail = |reason: String| OrderError { line: line.chars().take(200).collect(), reason };
+    /// The line is neither a wish nor a velocity within the range.
+    pub fn from_line(line: &str, range: &FullSticks) -> Result<Self, OrderError> {
+        let line = line.trim_start_matches('\u{feff}').trim();
+        let fail = |reason: String| OrderError { line: echo(line).into(), reason: echo(&reason).into() };
         let value: serde_json::Value = serde_json::from_str(line).map_err(|error| fail(error.to_string()))?;
         if value.get("do").is_some() {
             let Do { r#do: wish } = serde_json::from_value(value).map_err(|error| fail(error.to_string()))?;
@@ -58,6 +60,7 @@ impl Order {
         }
         let Velocity { forward, left, yaw, compliance } =
             serde_json::from_value(value).map_err(|error| fail(error.to_string()))?;
+        range.check([forward, left, yaw]).map_err(|error| fail(format!("{error}; the velocity stays as it was")))?;
         Ok(Order::Command(Command { compliance, ..Command::velocity(forward, left, yaw) }))
     }
 
@@ -124,13 +127,32 @@ mod tests {
 
     #[test]
     fn lines_of_json_are_orders_and_others_are_refused() {
-        assert_eq!(Order::from_line(r#"{"do": "stand"}"#).unwrap(), Order::Wish(Wish::Stand));
+        let from_line = |line: &str| Order::from_line(line, &FullSticks([1.0, 0.5, 0.5]));
+        assert_eq!(from_line(r#"{"do": "stand"}"#).unwrap(), Order::Wish(Wish::Stand));
+        assert_eq!(from_line("\u{feff}{\"do\": \"damp\"}").unwrap(), Order::Wish(Wish::Damp));
         let command = Command { compliance: Some(0.03), ..Command::velocity(0.5, 0.0, -0.1) };
         let line = r#"{"forward": 0.5, "left": 0, "yaw": -0.1, "compliance": 0.03}"#;
-        assert_eq!(Order::from_line(line).unwrap(), Order::Command(command));
+        assert_eq!(from_line(line).unwrap(), Order::Command(command));
         for bad in ["", "stand", "{}", r#"{"do": "fly"}"#, r#"{"forward": 1}"#, r#"{"do": "lie", "now": true}"#, "[1]"]
         {
-            assert!(Order::from_line(bad).is_err(), "{bad}");
+            assert!(from_line(bad).is_err(), "{bad}");
+        }
+        // A rounding beyond the range is none.
+        assert!(from_line(r#"{"forward": 1.0000000001, "left": -0.5, "yaw": 0}"#).is_ok());
+        for (line, problem) in [
+            (
+                r#"{"forward": 1e308, "left": 0, "yaw": 0}"#,
+                "forward is 1e308 m/s, expected -1 to 1 m/s; the velocity stays",
+            ),
+            (r#"{"forward": 0, "left": -0.51, "yaw": 0}"#, "left is -0.51 m/s, expected -0.5 to 0.5 m/s"),
+            (r#"{"forward": 0, "left": 0, "yaw": 0.6}"#, "yaw is 0.6 rad/s, expected -0.5 to 0.5 rad/s"),
+        ] {
+            let error = from_line(line).unwrap_err().to_string();
+            assert!(error.contains(problem), "{error}");
+        }
+        for long in ["x".repeat(60_000), format!("{{\"do\": \"{}\"}}", "é".repeat(60_000))] {
+            let error = from_line(&long).unwrap_err().to_string();
+            assert!(error.chars().count() < 700 && error.contains('…'), "{error}");
         }
     }
 

@@ -309,11 +309,13 @@ fn answer(agent: &Agent, mut compliant: Option<CompliantObservations>) -> anyhow
             None => "a JSON array of numbers",
             Some(_) => r#"{"observation": [...], "force_n": [forward, left]}"#,
         };
-        let at = || format!("line {}: expected {expected}", index + 1);
+        let fail = |error: serde_json::Error| {
+            anyhow::anyhow!("line {}: expected {expected}: {}", index + 1, terminal::echo(&error.to_string()))
+        };
         let (mut observation, force_n) = match compliant {
-            None => (serde_json::from_str::<Vec<f64>>(&line).with_context(at)?, [0.0; 2]),
+            None => (serde_json::from_str::<Vec<f64>>(&line).map_err(fail)?, [0.0; 2]),
             Some(_) => {
-                let Pulled { observation, force_n } = serde_json::from_str(&line).with_context(at)?;
+                let Pulled { observation, force_n } = serde_json::from_str(&line).map_err(fail)?;
                 (observation, force_n)
             }
         };

@@ -1,5 +1,5 @@
 /*! Robot import: adapts an MJCF or URDF file written for other purposes, and reports every change. Read `source` (the files),
-`newer` and `words` (what newer MuJoCos write), `urdf`, `names` (joints), `feet`, `normalise` (the changes) and `sandbox` (the
+`newer` and `words` (what newer MuJoCos write), `urdf`, `weld`, `names` (joints), `feet`, `normalise` (the changes) and `sandbox` (the
 child process), in this order.
 
 A file such as the widely used Go1 brings its own servos, damping, contact softness, solver options and floor. Here the
@@ -12,6 +12,7 @@ without the parts that contradict that. Masses, inertias, shapes, joint limits a
 mod angles;
 mod feet;
 mod load;
+mod masses;
 mod names;
 mod newer;
 mod normalise;
@@ -19,6 +20,7 @@ mod sandbox;
 mod source;
 mod torque;
 mod urdf;
+mod weld;
 mod words;
 
 use std::path::{Path, PathBuf};

@@ -36,9 +36,12 @@ struct RawDescription {
     nominal_pose_rad: Option<Vec<f64>>,
     min_height_m: Option<f64>,
     torque_limits_n_m: Option<Vec<f64>>,
+    #[serde(default)]
+    weld: Vec<String>,
 }
 
-/// The robot's YAML description; empty for an MJCF file alone.
+/// The robot's YAML description; empty for an MJCF file alone. Its text is a part of a robot's identity: a new key belongs
+/// beside it, as `weld` is.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Description {
     /// Path of the MJCF or URDF file.
@@ -56,10 +59,10 @@ pub(super) struct Description {
 }
 
 impl Description {
-    /// Reads an MJCF or URDF file, or a YAML file that names one.
-    pub(super) fn read(path: &Path) -> Result<Self, RobotError> {
+    /// Reads an MJCF or URDF file, or a YAML file that names one; returns also the names of the joints to weld.
+    pub(super) fn read(path: &Path) -> Result<(Self, Vec<String>), RobotError> {
         if !files::is_yaml(path) {
-            return Ok(Description { mjcf: path.to_owned(), ..Description::default() });
+            return Ok((Description { mjcf: path.to_owned(), ..Description::default() }, Vec::new()));
         }
         let text = Text::read(path).map_err(|error| RobotError::Yaml(error.to_string()))?;
         // The caller adds the file's name to the error.
@@ -78,14 +81,15 @@ impl Description {
             let expected = "0 to 10 m";
             return Err(RobotError::Key { key: "min_height_m", found: height.to_string(), expected });
         }
-        Ok(Description {
+        let description = Description {
             mjcf: path.parent().unwrap_or(Path::new("")).join(raw.mjcf),
             joints: raw.joints.map(|legs| legs.in_order().into_iter().flatten().collect()),
             feet: raw.feet.map(Legs::in_order),
             pose,
             fall_height_m: raw.min_height_m,
             torque_limits,
-        })
+        };
+        Ok((description, raw.weld))
     }
 
     /// Returns the ids of the model's joints in Supple's order, by the given names or by the usual ones.

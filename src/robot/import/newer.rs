@@ -36,6 +36,8 @@ pub(super) struct Translated {
     pub(super) torques: Vec<(String, [f64; 2])>,
     /// Settings that were left out although they act, one on a line.
     pub(super) notes: Vec<String>,
+    /// Meshes of feet that cannot be read, each with the reason.
+    pub(super) unread: Vec<String>,
 }
 
 /// Default classes: what an element of a class has unless it says otherwise.
@@ -606,7 +608,7 @@ impl Translator<'_> {
 }
 
 /// Writes a pose into an element.
-fn write_pose(pose: &Isometry3<f64>, element: &mut Element) {
+pub(super) fn write_pose(pose: &Isometry3<f64>, element: &mut Element) {
     ["axisangle", "xyaxes", "zaxis", "euler"].iter().for_each(|name| element.remove(name));
     element.set("pos", spaced(pose.translation.vector.as_slice()));
     let turn = pose.rotation;

@@ -6,11 +6,12 @@ use super::Imported;
 use super::angles::settle_angles;
 use super::feet::{self, Sole};
 use super::load::load;
+use super::masses::changed_bodies;
 use super::names::Description;
 use super::newer::{self, Translated};
 use super::source::{Files, Source};
 use super::torque::torque_limits;
-use super::urdf;
+use super::{urdf, weld};
 use crate::mujoco::{Data, GeomContact, GeomShape, Model, Object};
 use crate::robot::error::RobotError;
 use crate::robot::kinematics::{Leg, bent_pose};
@@ -23,7 +24,7 @@ const MAIN_CLASS: &str = "robot_defaults";
 
 /// Settings of the compiler that change masses and inertias, also those of everything else in a scene. They hold when the
 /// file is read; afterwards, the robot states the masses that result.
-const OF_MASSES: [&str; 7] = [
+pub(super) const OF_MASSES: [&str; 7] = [
     "boundmass",
     "boundinertia",
     "settotalmass",
@@ -58,16 +59,34 @@ struct Survey<'a> {
 /// Converts the files of a robot.
 pub(super) fn adapt(source: &Source) -> Result<Imported, RobotError> {
     let (description, files) = (&source.description, &source.files);
-    let translated =
-        if source.is_urdf() { urdf::translate(&source.tree, files)? } else { newer::translate(&source.tree, files)? };
-    let Translated { mut tree, torques, mut notes } = translated;
     let file = std::path::absolute(&description.mjcf)?;
-    let assets = find_assets(&mut tree, file.parent().unwrap_or(Path::new("")))?;
+    let folder = file.parent().unwrap_or(Path::new(""));
+    let translated = if source.is_urdf() {
+        urdf::translate(&source.tree, files, &source.weld, folder)?
+    } else {
+        newer::translate(&source.tree, files)?
+    };
+    let Translated { mut tree, torques, mut notes, unread } = translated;
+    let assets = find_assets(&mut tree, folder)?;
+    if !source.is_urdf() && !source.weld.is_empty() {
+        notes.push(weld::weld(&mut tree, &source.weld, files)?);
+    }
     let acts = |value: &str| !WITHOUT_EFFECT.contains(&value);
     let states_masses =
         tree.all("compiler").any(|compiler| OF_MASSES.iter().any(|name| compiler.get(name).is_some_and(acts)));
     let angle = settle_angles(&mut tree);
-    let survey = Survey::of(&tree, files, description, &torques, states_masses)?;
+    let survey = Survey::of(&tree, files, description, &torques, states_masses).map_err(|error| match error {
+        RobotError::NoFoot { leg } if !unread.is_empty() => RobotError::FootMesh { leg, unread: unread.join("; ") },
+        error => error,
+    })?;
+    if states_masses {
+        let changed = changed_bodies(&survey.model, survey.trunk, &tree, files).map(|changed| match &changed[..] {
+            [] => "change no part".to_owned(),
+            changed => format!("change {}", changed.join(", ")),
+        });
+        let changed = changed.unwrap_or_else(|| "change some parts".to_owned());
+        notes.push(format!("masses and inertias: its compiler settings {changed}"));
+    }
     notes.extend(survey.notes.iter().cloned());
     let mut report = survey.report();
     report.append(&mut notes);
@@ -431,9 +450,6 @@ impl<'a> Survey<'a> {
         let bodies = (self.trunk..model.count(Object::Body)).filter(|body| model.is_below(*body, self.trunk));
         let mass: f64 = bodies.map(|body| model.body_mass()[body]).sum();
         lines.push(format!("mass: {mass:.3} kg, kept, as are inertias, shapes, joint limits and armature"));
-        if self.states_masses {
-            lines.push("masses and inertias are those that its compiler settings make of them".into());
-        }
         let dofs = self.joints.map(|joint| model.joint_velocity_index(joint));
         for (what, unit, values) in [
             ("joint damping", "N m s/rad", dofs.map(|dof| model.damping()[dof])),

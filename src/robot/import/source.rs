@@ -48,6 +48,8 @@ pub(super) fn described(element: &Element) -> String {
 pub(in crate::robot) struct Source {
     /// The robot's YAML description, if there is one.
     pub(super) description: Description,
+    /// Names of the joints to weld.
+    pub(super) weld: Vec<String>,
     /// The tree of the main file with its includes resolved.
     pub(super) tree: Element,
     /// The files that the tree was read from.
@@ -57,7 +59,7 @@ pub(in crate::robot) struct Source {
 impl Source {
     /// Reads an MJCF or URDF file, or a YAML description that names one.
     pub(in crate::robot) fn read(path: &Path) -> Result<Self, RobotError> {
-        let description = Description::read(path)?;
+        let (description, weld) = Description::read(path)?;
         let folder = description.mjcf.parent().unwrap_or(Path::new(""));
         let mut reader = Reader { given: path, folder, files: Files::default(), elements: 0 };
         let tree = reader.read(&description.mjcf)?;
@@ -69,7 +71,7 @@ impl Source {
         taken.children.retain(|child| !LEFT_OUT_SECTIONS.contains(&child.name.as_str()));
         check_sizes(&taken)?;
         check_finite(&taken, &files)?;
-        Ok(Source { description, tree, files })
+        Ok(Source { description, weld, tree, files })
     }
 
     /// Returns true if the main file is a URDF.
@@ -79,7 +81,14 @@ impl Source {
 
     /// Returns the whole text and the folder of its files: two sources with the same text differ at most in the content of their assets.
     pub(in crate::robot) fn text(&self) -> String {
-        let mut text = format!("{:?}", self.description);
+        self.text_with(&self.description)
+    }
+
+    fn text_with(&self, description: &Description) -> String {
+        let mut text = format!("{description:?}");
+        if !self.weld.is_empty() {
+            text.push_str(&format!("{:?}", self.weld));
+        }
         self.tree.write(&mut text);
         text
     }
@@ -87,8 +96,7 @@ impl Source {
     /// Returns the SHA-256 of the whole text and the content of its assets, independent of their paths.
     pub(super) fn sha256(&self, assets: &[PathBuf]) -> Result<String, RobotError> {
         let mjcf = self.description.mjcf.file_name().unwrap_or_default().into();
-        let mut text = format!("{:?}", Description { mjcf, ..self.description.clone() });
-        self.tree.write(&mut text);
+        let text = self.text_with(&Description { mjcf, ..self.description.clone() });
         let mut hashes = files::sha256(&[text.as_bytes()]);
         for asset in assets {
             let bytes = files::read_bounded(asset, MAX_ASSET_BYTES)

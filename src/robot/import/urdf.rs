@@ -2,15 +2,20 @@
 
 MuJoCo compiles URDF: links, joints, limits, inertias and the primitives of collisions. The compiled model is then written as MJCF,
 with all digits. What it does not take over is read here: `<limit effort>` is the limit of a joint's torque. Meshes are left out,
-whatever their `package://` paths are: the masses of a URDF stand in its links, and its feet are primitives. The trunk, which MuJoCo
-would fix to the world, gets a free joint.
+whatever their `package://` paths are: the masses of a URDF stand in its links. Only where a leg ends in no sphere, its foot may be
+a mesh, which is looked for beside the file and in the folders above. The trunk, which MuJoCo would fix to the world, gets a free
+joint.
 */
+
+use std::path::{Path, PathBuf};
 
 use nalgebra::{Isometry3, Matrix3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
 use super::load::load;
-use super::newer::Translated;
+use super::masses::changed_links;
+use super::newer::{Translated, write_pose};
 use super::source::Files;
+use super::weld::weld_urdf;
 use crate::mujoco::{GeomShape, Model, Object};
 use crate::robot::error::RobotError;
 use crate::util::numbers::spaced;
@@ -19,14 +24,23 @@ use crate::util::xml::{Element, Place};
 /// Name of the link that stands for the world.
 const WORLD: &str = "world";
 
-/// Reads a URDF and writes it as MJCF.
-pub(super) fn translate(tree: &Element, files: &Files) -> Result<Translated, RobotError> {
+/// Reads a URDF in a folder and writes it as MJCF.
+pub(super) fn translate(
+    tree: &Element,
+    files: &Files,
+    weld: &[String],
+    folder: &Path,
+) -> Result<Translated, RobotError> {
     let is_xacro =
         |child: &Element| matches!(child.name.as_str(), "include" | "macro" | "property" | "arg" | "if" | "unless");
     if tree.children.iter().any(is_xacro) {
         return Err(RobotError::Xacro);
     }
     let (mut robot, meshes) = without_meshes(tree);
+    let mut notes = vec!["file: a URDF, read by MuJoCo, with a free joint for its trunk".to_owned()];
+    if !weld.is_empty() {
+        notes.push(weld_urdf(&mut robot, weld)?);
+    }
     free_the_trunk(&mut robot)?;
     let mut compiler = Element::new("compiler").with("fusestatic", "false").with("discardvisual", "false");
     // What a URDF may tell MuJoCo about its masses.
@@ -39,26 +53,35 @@ pub(super) fn translate(tree: &Element, files: &Files) -> Result<Translated, Rob
     }
     share_masses(&mut robot);
     robot.children.insert(0, Element { children: vec![compiler], ..Element::new("mujoco") });
-    let mut notes = vec!["file: a URDF, read by MuJoCo, with a free joint for its trunk".to_owned()];
     let model = load(&robot, files).or_else(|error| {
         if !error.to_string().contains("balanceinertia") {
             return Err(error);
         }
         // Rounded, or made up for a sensor: no body has such moments of inertia.
         robot.children[0].children[0].set("balanceinertia", "true");
-        let model = load(&robot, files)?;
-        let found = match &error {
-            RobotError::MuJoCo { element, .. } => element.clone(),
-            _ => "a link".to_owned(),
-        };
-        notes.push(format!(
-            "inertia of {found} and maybe others: no body has it (A + B < C); its three moments made equal"
-        ));
-        Ok(model)
+        load(&robot, files)
     })?;
-    if meshes > 0 {
-        notes.push(format!("meshes: {meshes} left out, for looks and collisions; masses stand in the links"));
+    let changed = changed_links(&model, &robot);
+    if !changed.is_empty() {
+        let settings = robot.children[0].children[0].attributes.iter().map(|(name, _)| name.as_str());
+        let settings: Vec<_> = settings.filter(|name| name.starts_with("bal") || name.starts_with("bound")).collect();
+        let why = match settings[..] {
+            ["balanceinertia"] => "no body has it (A + B < C); its three moments made equal".to_owned(),
+            _ => format!("changed by {}", settings.join(", ")),
+        };
+        notes.push(format!("inertia of {}: {why}", changed.join(", ")));
     }
+    let feet = FootMeshes::read(&model, tree, folder, files);
+    let left_out = meshes.saturating_sub(feet.shapes.len());
+    if left_out > 0 {
+        notes.push(format!("meshes: {left_out} left out, for looks and collisions; masses stand in the links"));
+    }
+    if !feet.assets.is_empty() {
+        let names = feet.assets.iter().filter_map(|asset| Path::new(asset.get("file")?).file_name());
+        let names = names.map(|name| name.to_string_lossy()).collect::<Vec<_>>().join(", ");
+        notes.push(format!("feet: legs end in no sphere, so their shape is read from the meshes ({names})"));
+    }
+    notes.extend(feet.unread.iter().map(|unread| format!("mesh left out: {unread}")));
     let (mut torques, mut speeds) = (Vec::new(), 0);
     for joint in tree.all("joint") {
         let Some((name, limit)) = joint.get("name").zip(joint.all("limit").next()) else { continue };
@@ -70,7 +93,7 @@ pub(super) fn translate(tree: &Element, files: &Files) -> Result<Translated, Rob
     if speeds > 0 {
         notes.push("joint speeds: not limited here".to_owned());
     }
-    Ok(Translated { tree: written(&model, &robot), torques, notes })
+    Ok(Translated { tree: written(&model, &robot, &feet), torques, notes, unread: feet.unread })
 }
 
 /// Returns what MuJoCo reads of a URDF, and the number of meshes that were left out.
@@ -91,6 +114,95 @@ fn without_meshes(tree: &Element) -> (Element, usize) {
         joint.children.retain(|child| matches!(child.name.as_str(), "origin" | "parent" | "child" | "axis" | "limit"));
     }
     (robot, meshes)
+}
+
+/// The meshes that legs may stand on: those of collisions where a leg ends in no sphere.
+#[derive(Default)]
+struct FootMeshes {
+    /// The files, as MJCF's `<mesh>`.
+    assets: Vec<Element>,
+    /// Link, pose in its frame and name of the asset of each shape.
+    shapes: Vec<(String, Isometry3<f64>, String)>,
+    /// The meshes that cannot be read, each with the reason and a way on.
+    unread: Vec<String>,
+}
+
+impl FootMeshes {
+    fn read(model: &Model, tree: &Element, folder: &Path, files: &Files) -> Self {
+        let (mut meshes, mut unread) = (FootMeshes::default(), Vec::<(&str, String, String, Vec<&str>)>::new());
+        let moving: Vec<usize> = (1..model.count(Object::Body)).filter(|body| moves(model, *body)).collect();
+        // Trunk, hip and thigh are above a calf, and nothing that moves is below it.
+        let above = |body: usize| moving.iter().filter(|other| model.is_below(body, **other)).count();
+        let below = |body: usize| moving.iter().filter(|other| model.is_below(**other, body)).count();
+        for calf in moving.iter().copied().filter(|body| above(*body) == 4 && below(*body) == 1) {
+            let parts = parts(model, calf);
+            let is_own = |geom: &usize| parts.iter().any(|(part, _)| model.geom_body(*geom) == *part);
+            let own: Vec<GeomShape> =
+                (0..model.count(Object::Geom)).filter(is_own).map(|geom| model.geom(geom).shape).collect();
+            if own.contains(&GeomShape::Sphere) {
+                continue;
+            }
+            // Where the shank has other shapes, its own mesh is a finer one of the same.
+            for (part, _) in parts.iter().filter(|(part, _)| own.is_empty() || *part != calf) {
+                let name = model.name(Object::Body, *part);
+                for collision in
+                    tree.all("link").filter(|link| link.get("name") == Some(name)).flat_map(|link| &link.children)
+                {
+                    if let ("collision", Some(mesh)) = (collision.name.as_str(), mesh_of(collision)) {
+                        let Err(problem) = meshes.add(name, collision, mesh, folder) else { continue };
+                        let file = mesh.get("filename").unwrap_or_default();
+                        match unread.iter_mut().find(|(known, ..)| *known == file) {
+                            Some((.., links)) => links.push(name),
+                            None => unread.push((file, files.at(mesh), problem, vec![name])),
+                        }
+                    }
+                }
+            }
+        }
+        let told = unread
+            .into_iter()
+            .map(|(file, at, problem, links)| format!("{at}: the mesh '{file}' of {} {problem}", links.join(", ")));
+        meshes.unread = told.collect();
+        meshes
+    }
+
+    /// Adds the mesh of a collision.
+    fn add(&mut self, link: &str, collision: &Element, mesh: &Element, folder: &Path) -> Result<(), String> {
+        let path = find(mesh.get("filename").unwrap_or_default(), folder)?;
+        let file = path.to_str().ok_or("has a path that is not UTF-8: move it")?;
+        let scale = mesh.get("scale").unwrap_or("1 1 1");
+        let is_it = |asset: &&Element| asset.get("file") == Some(file) && asset.get("scale") == Some(scale);
+        let known = self.assets.iter().find(is_it).and_then(|asset| asset.get("name")).map(str::to_owned);
+        let name = known.unwrap_or_else(|| {
+            let name = format!("foot_{}", self.assets.len());
+            let asset = Element { place: mesh.place, ..Element::new("mesh") };
+            self.assets.push(asset.with("name", &name).with("file", file).with("scale", scale));
+            name
+        });
+        self.shapes.push((link.to_owned(), origin(collision), name));
+        Ok(())
+    }
+}
+
+/// Returns the `<mesh>` of a collision, if it is one.
+fn mesh_of(collision: &Element) -> Option<&Element> {
+    collision.all("geometry").flat_map(|geometry| &geometry.children).find(|shape| shape.name == "mesh")
+}
+
+/// Finds the file of a mesh. A package is a folder above the URDF, or one beside those; a file without its folders may lie
+/// beside the URDF.
+fn find(given: &str, folder: &Path) -> Result<PathBuf, String> {
+    let extension = Path::new(given).extension().unwrap_or_default().to_ascii_lowercase();
+    if !["stl", "obj", "msh"].iter().any(|known| extension == *known) {
+        return Err("has a format that is not read, expected STL, OBJ or MSH: convert it".to_owned());
+    }
+    let path = given.split_once("://").map_or(given, |(_, path)| path);
+    let inner = path.split_once('/').map_or(path, |(_, inner)| inner);
+    let name = Path::new(path).file_name().unwrap_or_default();
+    let near = folder.ancestors().take(6).flat_map(|above| [above.join(path), above.join(inner)]);
+    near.chain([folder.join(name)])
+        .find(|path| path.is_file())
+        .ok_or_else(|| format!("is not there, expected {}: put the file there", folder.join(name).display()))
 }
 
 /// Lets the first link move: MuJoCo fixes it to the world, and would drop its mass.
@@ -177,15 +289,16 @@ fn origin(element: &Element) -> Isometry3<f64> {
 }
 
 /// Writes a compiled model as MJCF. Elements keep the places of the URDF's.
-fn written(model: &Model, robot: &Element) -> Element {
+fn written(model: &Model, robot: &Element, feet: &FootMeshes) -> Element {
     let compiler = Element::new("compiler").with("angle", "radian");
-    let world = Element { children: bodies(model, 0, robot), ..Element::new("worldbody") };
-    Element { children: vec![compiler, world], ..Element::new("mujoco") }
+    let world = Element { children: bodies(model, 0, robot, feet), ..Element::new("worldbody") };
+    let assets = Element { children: feet.assets.clone(), ..Element::new("asset") };
+    Element { children: vec![compiler, assets, world], ..Element::new("mujoco") }
 }
 
 /// Writes the bodies that move against a body. Links that are fixed to one another are one body, as when MuJoCo reads a URDF by
 /// itself.
-fn bodies(model: &Model, parent: usize, robot: &Element) -> Vec<Element> {
+fn bodies(model: &Model, parent: usize, robot: &Element, feet: &FootMeshes) -> Vec<Element> {
     let moving = parts(model, parent).into_iter().flat_map(|(part, pose)| {
         let below = (1..model.count(Object::Body)).filter(move |body| model.body_parent(*body) == part);
         below.filter(|body| moves(model, *body)).map(move |body| (body, pose * local(model, body)))
@@ -206,8 +319,13 @@ fn bodies(model: &Model, parent: usize, robot: &Element) -> Vec<Element> {
                 for geom in (0..model.count(Object::Geom)).filter(|geom| model.geom_body(*geom) == *part) {
                     element.children.push(written_geom(model, geom, pose));
                 }
+                for (_, own, mesh) in feet.shapes.iter().filter(|shape| shape.0 == model.name(Object::Body, *part)) {
+                    let mut geom = Element::new("geom").with("type", "mesh").with("mesh", mesh).with("mass", 0);
+                    write_pose(&(pose * own), &mut geom);
+                    element.children.push(geom);
+                }
             }
-            element.children.extend(bodies(model, body, robot));
+            element.children.extend(bodies(model, body, robot, feet));
             element
         })
         .collect()

@@ -16,6 +16,7 @@ use supple_robot::bridge::log::ROWS;
 use supple_robot::bridge::orders::{KEYS, Order};
 use supple_robot::bridge::safety::Limits;
 use supple_robot::bridge::{Settings, drive};
+use supple_robot::remote::FullSticks;
 
 use crate::{Network, stop_flag};
 
@@ -61,7 +62,8 @@ pub fn run(args: &Run) -> anyhow::Result<()> {
     let agent = shipped::find(&args.policy)?;
     let compliance = agent.resolve_compliance(None, args.compliance).with_context(|| args.policy.clone())?;
     let [forward, left, yaw] = args.velocity[..] else { anyhow::bail!("--velocity: expected three numbers") };
-    anyhow::ensure!([forward, left, yaw].iter().all(|it| it.is_finite()), "--velocity: expected finite numbers");
+    let range = FullSticks::new(&agent.config.command);
+    range.check([forward, left, yaw]).map_err(|error| anyhow::anyhow!("--velocity: {error}"))?;
     let settings = Settings {
         place: args.network.place()?,
         limits: Limits::default(),
@@ -76,7 +78,7 @@ pub fn run(args: &Run) -> anyhow::Result<()> {
     if let Some(port) = args.udp {
         let socket =
             UdpSocket::bind((Ipv4Addr::LOCALHOST, port)).with_context(|| format!("cannot open UDP port {port}"))?;
-        listen(socket, sender.clone())?;
+        listen(socket, sender.clone(), range)?;
     }
     let raw = Raw::new();
     match &raw {
@@ -84,7 +86,7 @@ pub fn run(args: &Run) -> anyhow::Result<()> {
             terminal::note(KEYS);
             std::thread::spawn(move || keys(&sender));
         }
-        None => drop(std::thread::spawn(move || orders_of_stdin(std::io::stdin().lock(), &sender))),
+        None => drop(std::thread::spawn(move || orders_of_stdin(std::io::stdin().lock(), &sender, &range))),
     }
     let report = drive(&settings, &agent, &orders, &stop);
     drop(raw);
@@ -113,11 +115,11 @@ pub fn run(args: &Run) -> anyhow::Result<()> {
 }
 
 /// Reads lines of JSON to their end; returns true if one of them was an order. What is no text is no order.
-fn lines(mut input: impl BufRead, sender: &Sender<Order>) -> bool {
+fn lines(mut input: impl BufRead, sender: &Sender<Order>, range: &FullSticks) -> bool {
     let (mut has_ordered, mut bytes) = (false, Vec::new());
     while input.read_until(b'\n', &mut bytes).is_ok_and(|length| length > 0) {
         let line = String::from_utf8_lossy(&bytes);
-        match Order::from_line(line.trim()) {
+        match Order::from_line(&line, range) {
             _ if line.trim().is_empty() => (),
             // The receiver is gone when the program ends.
             Ok(order) => has_ordered |= sender.send(order).is_ok(),
@@ -129,21 +131,21 @@ fn lines(mut input: impl BufRead, sender: &Sender<Order>) -> bool {
 }
 
 /// Reads lines of JSON from a program that leads the robot, and stops the robot at their end.
-fn orders_of_stdin(input: impl BufRead, sender: &Sender<Order>) {
-    if lines(input, sender) {
+fn orders_of_stdin(input: impl BufRead, sender: &Sender<Order>, range: &FullSticks) {
+    if lines(input, sender, range) {
         terminal::note("standard input has ended, and with it the orders: velocity 0");
         let _ = sender.send(Order::Command(Command::default()));
     }
 }
 
 /// Reads datagrams of JSON lines, and stops the robot where no order follows an order in time.
-fn listen(socket: UdpSocket, sender: Sender<Order>) -> anyhow::Result<()> {
+fn listen(socket: UdpSocket, sender: Sender<Order>, range: FullSticks) -> anyhow::Result<()> {
     socket.set_read_timeout(Some(UDP_SILENCE / 5))?;
     std::thread::spawn(move || {
         let (mut buffer, mut last_order): ([u8; 4096], Option<Instant>) = ([0; 4096], None);
         loop {
             match socket.recv(&mut buffer) {
-                Ok(length) if lines(&buffer[..length], &sender) => last_order = Some(Instant::now()),
+                Ok(length) if lines(&buffer[..length], &sender, &range) => last_order = Some(Instant::now()),
                 _ if last_order.is_some_and(|at| at.elapsed() > UDP_SILENCE) => {
                     last_order = None;
                     terminal::note(format_args!("no order from UDP for {} s: velocity 0", UDP_SILENCE.as_secs_f64()));
@@ -203,15 +205,18 @@ mod tests {
     use super::*;
     use supple_robot::bridge::phase::Wish;
 
+    const RANGE: FullSticks = FullSticks([1.0, 0.5, 0.5]);
+
     #[test]
     fn what_is_no_text_does_not_silence_the_orders_after_it() {
         let (sender, orders) = channel();
-        orders_of_stdin(&b"\xFF\xFE\n\n{\"forward\": 0.5, \"left\": 0, \"yaw\": 0}\n{\"do\": \"damp\"}"[..], &sender);
+        let text = b"\xFF\xFE\n\n{\"forward\": 0.5, \"left\": 0, \"yaw\": 0}\n{\"forward\": 9, \"left\": 0, \"yaw\": 0}\n\xEF\xBB\xBF{\"do\": \"damp\"}";
+        orders_of_stdin(&text[..], &sender, &RANGE);
         let walk = Order::Command(Command::velocity(0.5, 0.0, 0.0));
         let stop = Order::Command(Command::default());
         assert_eq!(orders.try_iter().collect::<Vec<_>>(), [walk, Order::Wish(Wish::Damp), stop]);
         // Nothing was ordered, so nothing ends.
-        orders_of_stdin(&b""[..], &sender);
+        orders_of_stdin(&b""[..], &sender, &RANGE);
         assert!(orders.try_recv().is_err());
     }
 
@@ -221,12 +226,13 @@ mod tests {
         let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
         let leader = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
         leader.connect(socket.local_addr().unwrap()).unwrap();
-        listen(socket, sender).unwrap();
+        listen(socket, sender, RANGE).unwrap();
         leader.send(b"{\"forward\": 0.5, \"left\": 0, \"yaw\": 0}").unwrap();
         let next = || orders.recv_timeout(Duration::from_secs(60)).unwrap();
         assert_eq!(next(), Order::Command(Command::velocity(0.5, 0.0, 0.0)));
         // What is no order does not lead the robot.
         leader.send(b"forward").unwrap();
+        leader.send(b"{\"forward\": 1e308, \"left\": 0, \"yaw\": 0}").unwrap();
         assert_eq!(next(), Order::Command(Command::default()));
         leader.send(b"{\"do\": \"damp\"}").unwrap();
         assert_eq!(next(), Order::Wish(Wish::Damp));
