@@ -130,9 +130,9 @@ fn examination_grades_a_policy_beside_the_references() {
         }
     }
     let samples = |set: usize| exam["training"][set]["samples"][0].as_u64();
-    assert!(samples(0) == Some(0) && samples(1) > Some(1_000_000), "{exam}");
+    assert!(samples(0) == Some(20_000_000) && samples(1) > Some(20_000_000), "{exam}");
     let page = read("exam.html");
-    assert!(page.contains("<td>0 M</td>"), "{page}");
+    assert!(page.contains("<td>20 M</td>"), "{page}");
     // The note about the policies is no fault.
     let note = "the contact network was not trained on how mine";
     assert!(notes.contains(note) && page.contains(note) && exam["notes"].to_string().contains(note), "{notes}");
@@ -458,7 +458,7 @@ fn missing_seed_is_left_out_of_differences_only() {
     assert!(notes.contains("no policy of seed 3") && notes.contains("other.safetensors was left out"), "{notes}");
     assert!(notes.contains("not trained alike") && notes.contains("configurations differ in ppo.epochs\""), "{notes}");
     assert!(notes.contains("compliant, seeds 0 and 3, are one policy"), "{notes}");
-    let samples = "compliant has 0 million samples, baseline 60 million: differences may come from that";
+    let samples = "compliant has 20 million samples, baseline 60 million: differences may come from that";
     assert_eq!((&summary["notes"][0], &summary["training"][1]["samples"][0]), (&samples.into(), &60_006_400.into()));
     assert_eq!(summary["differing_keys"], serde_json::json!(["ppo.epochs"]));
     assert!(notes.contains("compliant, seed 3, was trained with seed 0"), "{notes}");
