@@ -68,7 +68,7 @@ pub struct StepForces {
     pub torques: Joints,
     /// Force on the trunk from outside, mean, world frame \[N\]: disturbances, and what touches the trunk.
     pub trunk: Vector3<f64>,
-    /// Force of contacts and of what holds it on each foot, mean, world frame \[N\].
+    /// Force of contacts and of what holds it on each foot, mean, world frame \[N\]; NaN where contacts are not measured.
     pub feet: [Vector3<f64>; 4],
     /// Largest contact force on any one foot \[N\].
     pub peak_foot_n: f64,

@@ -21,8 +21,8 @@ pub struct Parts {
     /// The spheres that heights and velocities of the feet are those of.
     soles: [FootSphere; 4],
     ground: usize,
-    /// True for each geometry that is a part of the robot other than a foot.
-    is_body_part: Vec<bool>,
+    /// True for each geometry of the robot.
+    is_part: Vec<bool>,
     /// True for each geometry of the robot that touches the ground only after a fall.
     is_high: Vec<bool>,
 }
@@ -40,12 +40,12 @@ impl Parts {
         let feet: [usize; 4] = try_array(|leg| model.id(Object::Geom, &format!("{}_foot", LEGS[leg])))?;
         let sole = |leg| FootSphere::new(model, leg);
         let in_robot = |geom| model.is_below(model.geom_body(geom), trunk);
-        let is_body_part: Vec<bool> =
-            (0..model.count(Object::Geom)).map(|geom| in_robot(geom) && !feet.contains(&geom)).collect();
+        let is_part: Vec<bool> = (0..model.count(Object::Geom)).map(in_robot).collect();
         let shanks = (2..JOINTS).step_by(3).map(|knee| model.joint_body(joints[knee]));
         let shanks: Vec<usize> = if robot.shanks_may_touch { shanks.collect() } else { Vec::new() };
         let in_shank = |geom| shanks.iter().any(|shank| model.is_below(model.geom_body(geom), *shank));
-        let is_high = is_body_part.iter().enumerate().map(|(geom, part)| *part && !in_shank(geom)).collect();
+        let may_touch = |geom| feet.contains(&geom) || in_shank(geom);
+        let is_high = is_part.iter().enumerate().map(|(geom, part)| *part && !may_touch(geom)).collect();
         Ok(Parts {
             trunk,
             root_position: model.joint_position_index(root),
@@ -57,7 +57,7 @@ impl Parts {
             feet,
             soles: [sole(0)?, sole(1)?, sole(2)?, sole(3)?],
             ground: model.id(Object::Geom, GROUND)?,
-            is_body_part,
+            is_part,
             is_high,
         })
     }
@@ -89,7 +89,7 @@ impl Parts {
 
     /// Returns true if a geometry belongs to the robot.
     pub fn is_part(&self, geom: usize) -> bool {
-        self.is_body_part[geom] || self.feet.contains(&geom)
+        self.is_part[geom]
     }
 
     /// Returns the true joint angles \[rad\].

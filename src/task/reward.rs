@@ -35,7 +35,8 @@ pub struct RewardInput<'a> {
     pub summary: &'a StepSummary,
     /// Swings that ended in the step.
     pub landings: &'a Landings,
-    /// Motor torques, and forces on trunk and feet.
+    /// Motor torques, and forces on trunk and feet; in training without a critic's own observation, those of contacts are not
+    /// measured, and NaN: see [`World::without_contact_forces`](crate::world::World::without_contact_forces).
     pub forces: &'a StepForces,
     /// Length of the step \[s\].
     pub period_s: f64,

@@ -170,7 +170,10 @@ impl LocomotionEnv {
             reward.tracking_sharpness *= terrain.sharpness_factor;
         }
         let levels = uneven.map(|(terrain, _)| terrain.levels);
-        let world = World::new(&scene, &config.simulation, config.episode.min_height_m, reward)?;
+        let mut world = World::new(&scene, &config.simulation, config.episode.min_height_m, reward)?;
+        if shared.critic.is_none() {
+            world = world.without_contact_forces();
+        }
         let stages = Stages::new(&config.episode, &config.simulation);
         let nominal = config.action.nominal_pose_rad.joints();
         let cut = first_cut(seed, index, &stages);
