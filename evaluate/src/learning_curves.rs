@@ -20,7 +20,7 @@ use crate::section_content::Figure;
 /// Number of windows of the longest run.
 const WINDOWS: usize = 50;
 
-/// What the curves are drawn over.
+/// The horizontal axis of the curves.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Over {
     /// Millions of samples.

@@ -49,7 +49,7 @@ pub struct Script {
     pub duration_s: f64,
     /// Time that is still played after a fall \[s\].
     pub after_fall_s: f64,
-    /// What disturbs the robot.
+    /// The disturbances of the robot.
     pub disturbances: Vec<Disturbance>,
     /// The goal that the robot has to reach.
     pub goal: Option<Goal>,

@@ -140,7 +140,7 @@ pub struct Report<'a> {
     pub curves: Vec<Figure>,
 }
 
-/// What stands above claims that all lack a verdict on their difference.
+/// The sentence above claims that all lack a verdict on their difference.
 const TOO_FEW: &str = "No difference has a verdict: each has fewer than five pairs of seeds, too few to tell.";
 
 impl<'a> Report<'a> {

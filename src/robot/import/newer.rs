@@ -92,7 +92,7 @@ impl<'a> Classes<'a> {
 /// A `<frame>` and those around it.
 #[derive(Debug, Clone)]
 struct OuterFrame {
-    /// Its pose in the frame of the body around it.
+    /// The pose in the frame of the body around it.
     pose: Isometry3<f64>,
     class: Option<String>,
 }

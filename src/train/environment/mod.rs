@@ -296,7 +296,7 @@ impl LocomotionEnv {
         self.world.sim().data().bytes()
     }
 
-    /// Returns the random part of this episode, but for the disturbances, which the world has.
+    /// Returns the random part of this episode without its disturbances: those are in the world.
     pub fn plan(&self) -> &EpisodePlan {
         &self.progress.plan
     }

@@ -131,7 +131,7 @@ pub enum DisturbanceMark {
     },
 }
 
-/// What the disturbances do at the beginning of a policy step.
+/// The effects of the disturbances at the beginning of a policy step.
 #[derive(Debug, Default)]
 pub(super) struct Effects {
     pub(super) events: Vec<Event>,

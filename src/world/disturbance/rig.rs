@@ -168,7 +168,7 @@ enum Phase {
     Off,
 }
 
-/// What a rig remembers.
+/// The memory of a rig.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(in crate::world) struct Memory {
     tendon: usize,

@@ -88,7 +88,7 @@ impl Spring {
     }
 }
 
-/// What a spring remembers.
+/// The memory of a spring.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(in crate::world) struct Memory {
     /// Id of the site at the trunk's centre of mass.
