@@ -116,7 +116,7 @@ fn disturbance(past: &[Frame]) -> Vec<Mark> {
         _ => {}
     }
     let is_recent = |earlier: &&Frame| earlier.time_s > frame.time_s - PUSH_SHOWN_S;
-    let push = past.iter().rev().take_while(is_recent).find_map(|earlier| match earlier.disturbance {
+    let push = past.iter().rev().take_while(is_recent).find_map(|earlier| match earlier.mark {
         Some(DisturbanceMark::Push { velocity }) => Some(velocity),
         _ => None,
     });
