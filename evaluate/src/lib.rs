@@ -23,6 +23,7 @@ pub mod section_content;
 pub mod sensing;
 pub mod square_grid;
 pub mod statistics;
+pub mod study;
 pub mod trial;
 
 use serde::Serialize;

@@ -87,6 +87,16 @@ impl MeasurementStore {
         lock(&self.folder.join(name), |other| waits(&format!("{other}, which measures {name}")))
     }
 
+    /// Locks an experiment unless another process measures it.
+    ///
+    /// # Errors
+    /// The folder or its lock file cannot be created.
+    pub fn try_lock_experiment(&self, experiment: &dyn Experiment) -> Result<Option<File>, FileError> {
+        let folder = self.folder.join(experiment.info().name);
+        let file = open_lock(&folder)?;
+        if let Err(TryLockError::WouldBlock) = file.try_lock() { Ok(None) } else { hold(file, &folder).map(Some) }
+    }
+
     /// Locks the report like [`MeasurementStore::lock_experiment`].
     ///
     /// # Errors
@@ -140,10 +150,7 @@ impl StoredMeasurement {
 
 /// Locks a folder. The holder writes into the lock file who it is, and `waits` receives that of another process.
 fn lock(folder: &Path, waits: impl Fn(&str)) -> Result<File, FileError> {
-    let path = folder.join(".lock");
-    let fail = FileError::of(RESULTS, &path);
-    fs::create_dir_all(folder).map_err(FileError::of(RESULTS, folder))?;
-    let mut file = File::options().create(true).read(true).append(true).open(&path).map_err(fail)?;
+    let file = open_lock(folder)?;
     // On a file system without locks, two processes may measure the same: it costs time only.
     if let Err(TryLockError::WouldBlock) = file.try_lock() {
         let mut holder = String::new();
@@ -152,6 +159,17 @@ fn lock(folder: &Path, waits: impl Fn(&str)) -> Result<File, FileError> {
         waits(holder);
         let _ = file.lock();
     }
+    hold(file, folder)
+}
+
+fn open_lock(folder: &Path) -> Result<File, FileError> {
+    let path = folder.join(".lock");
+    fs::create_dir_all(folder).map_err(FileError::of(RESULTS, folder))?;
+    File::options().create(true).read(true).append(true).open(&path).map_err(FileError::of(RESULTS, &path))
+}
+
+/// Writes into a lock file that this process holds it.
+fn hold(mut file: File, folder: &Path) -> Result<File, FileError> {
     // Others only read it; what cannot be written does no harm.
     let _ = file.set_len(0);
     let host = fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();

@@ -1,14 +1,18 @@
-//! Plays the trials of an experiment on rayon's global pool; results do not depend on the number of threads.
+/*! Plays the trials of all experiments and policies on rayon's global pool, in one queue, the longest first.
+
+Results do not depend on the number of threads. Those of a policy in an experiment are kept as soon as its last trial is played.
+*/
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::time::Instant;
-
-use rayon::prelude::*;
+use std::fs::File;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
 use super::measurement_store::{self, MeasurementStore};
 use super::policy_sets::{PolicySets, SetMember};
 use super::results::{PolicyResult, Results};
-use super::trial::{self, Sample, TrialError};
+use super::trial::{self, Beginnings, Sample, TrialError};
 use super::{Condition, Experiment};
 use supple::config::ConfigError;
 use supple::scenario::Sensing;
@@ -33,6 +37,9 @@ pub enum RunError {
     /// A scenario file inside the program is invalid.
     #[error(transparent)]
     Config(#[from] ConfigError),
+    /// Whoever receives the progress wants no more trials.
+    #[error("stopped before all trials were played")]
+    Stopped,
 }
 
 /// Trials to play or played, and their cost.
@@ -44,14 +51,20 @@ pub struct Work {
     pub cost_s: f64,
 }
 
-/// An event while an experiment is measured.
-#[derive(Debug, Clone, PartialEq)]
-pub enum Update {
-    /// Trials were played, by this process or by another.
-    Played(Work),
-    /// Another process measures the experiment: this one waits for it. The text says which one it is.
-    Waits(String),
+/// An event while trials are played.
+pub enum Update<'a> {
+    /// A trial begins.
+    Begins,
+    /// Trials of the job were played, by this process or by another.
+    Played(&'a Job<'a>, Work),
+    /// The numbers of the job are kept; its trials took this time \[s\].
+    Finished(&'a Job<'a>, f64),
+    /// Another process measures an experiment: this one waits for it. The text says which one it is.
+    Waits(&'a str),
 }
+
+/// A function that receives what happens, on any thread; its error, usually [`RunError::Stopped`], ends the run.
+pub type Progress<'p> = dyn Fn(Update) -> Result<(), RunError> + Sync + 'p;
 
 /// The words in the name of a job whose robots act on their sensors.
 pub const ON_SENSORS: &str = " on sensors";
@@ -146,54 +159,148 @@ pub fn finished(
     Ok(Some(Measurement { results, wall_s, revisions }))
 }
 
-impl Job<'_> {
-    /// Plays the trials and keeps their numbers; returns false if another process has measured them meanwhile.
-    ///
-    /// # Errors
-    /// A trial cannot be played, or the results cannot be written.
-    pub fn run(&self, progress: &(dyn Fn(Update) + Sync)) -> Result<bool, RunError> {
-        let Job { experiment, conditions, member, settings, key, .. } = self;
-        let waits = |other: &str| progress(Update::Waits(other.to_owned()));
-        let is_there = || !settings.again && settings.store.read(*experiment, key).is_some();
-        let lock = if is_there() { None } else { Some(settings.store.lock_experiment(*experiment, waits)?) };
-        if lock.is_none() || is_there() {
-            progress(Update::Played(self.work));
-            return Ok(false);
+/// Plays the trials of all jobs and keeps their numbers. What another process measures comes last, and is not played if that
+/// process finishes it.
+///
+/// # Errors
+/// A trial cannot be played, or the results cannot be written. If several trials fail, the error is that of the first of them
+/// in the order of the jobs; trials behind it are left out.
+pub fn run(jobs: &[Job], progress: &Progress) -> Result<(), RunError> {
+    let mut left: Vec<&Job> = jobs.iter().collect();
+    while let Some(first) = left.first() {
+        let mut locks: BTreeMap<&str, Option<Arc<File>>> = BTreeMap::new();
+        for job in &left {
+            let name = job.experiment.info().name;
+            if !locks.contains_key(name) {
+                locks.insert(name, job.settings.store.try_lock_experiment(job.experiment)?.map(Arc::new));
+            }
         }
-        let start = Instant::now();
-        let fail = |source| {
-            let (experiment, policy) = (experiment.info().name, member.file.display().to_string());
-            RunError::Trial { experiment, policy, source }
-        };
-        let samples = play_all(*experiment, conditions, member, settings, progress).map_err(fail)?;
-        settings.store.write(*experiment, key, member, start.elapsed().as_secs_f64(), samples)?;
-        Ok(true)
+        if locks.values().all(Option::is_none) {
+            let waits = |other: &str| drop(progress(Update::Waits(other)));
+            let lock = first.settings.store.lock_experiment(first.experiment, waits)?;
+            locks.insert(first.experiment.info().name, Some(Arc::new(lock)));
+        }
+        let (mut queue, mut others) = (Vec::new(), Vec::new());
+        for job in left {
+            match &locks[job.experiment.info().name] {
+                None => others.push(job),
+                Some(_) if job.is_done() => progress(Update::Played(job, job.work))?,
+                Some(lock) => queue.push(Active::new(job, Arc::clone(lock))),
+            }
+        }
+        drop(locks);
+        play(&queue, progress)?;
+        left = others;
+    }
+    Ok(())
+}
+
+impl Job<'_> {
+    fn is_done(&self) -> bool {
+        !self.settings.again && self.settings.store.read(self.experiment, &self.key).is_some()
+    }
+
+    /// Returns the cost of a trial \[seconds of simulated time\].
+    fn cost_s(&self, index: usize) -> f64 {
+        self.conditions[index / self.experiment.info().trials as usize].scenario.cost()
+    }
+
+    fn play(&self, index: usize, beginnings: &Beginnings) -> Result<Sample, TrialError> {
+        let Job { experiment, conditions, member, settings, .. } = self;
+        trial::play_at(index, *experiment, conditions, member.seed, &member.agent, settings.sensing, Some(beginnings))
     }
 }
 
-/// Plays all trials of one policy, shape (conditions, trials). If several fail, it returns the error of the first of them.
-fn play_all(
-    experiment: &dyn Experiment,
-    conditions: &[Condition],
-    member: &SetMember,
-    settings: &Settings,
-    progress: &(dyn Fn(Update) + Sync),
-) -> Result<PolicyResult, TrialError> {
-    let trials = experiment.info().trials as usize;
-    let play = |index: usize| {
-        let sample = trial::play_at(index, experiment, conditions, member.seed, &member.agent, settings.sensing)?;
-        progress(Update::Played(Work { trials: 1, cost_s: conditions[index / trials].scenario.cost() }));
-        Ok(sample)
-    };
-    // All are played: which of them fails first would depend on the threads.
-    let played: Vec<Result<Sample, TrialError>> = (0..conditions.len() * trials).into_par_iter().map(play).collect();
-    let mut samples = played.into_iter();
-    conditions.iter().map(|_| samples.by_ref().take(trials).collect::<Result<Vec<Sample>, TrialError>>()).collect()
+/// A job in the queue.
+struct Active<'a> {
+    job: &'a Job<'a>,
+    beginnings: Beginnings,
+    played: Mutex<Played>,
+}
+
+/// The trials of a job that were played.
+struct Played {
+    /// The samples by index.
+    samples: Vec<Option<Sample>>,
+    /// The number of trials that are not played yet.
+    left: usize,
+    /// The time of all threads.
+    took: Duration,
+    /// Keeps other processes from measuring the same, until all are played.
+    lock: Option<Arc<File>>,
+}
+
+impl<'a> Active<'a> {
+    fn new(job: &'a Job<'a>, lock: Arc<File>) -> Self {
+        let left = job.work.trials as usize;
+        let played = Played { samples: vec![None; left], left, took: Duration::ZERO, lock: Some(lock) };
+        Active { job, beginnings: Beginnings::default(), played: Mutex::new(played) }
+    }
+
+    /// Plays one trial, and keeps the job's numbers after the last one.
+    fn play(&self, index: usize, progress: &Progress) -> Result<(), RunError> {
+        let Job { experiment, conditions, member, settings, key, .. } = self.job;
+        progress(Update::Begins)?;
+        let start = Instant::now();
+        let sample = self.job.play(index, &self.beginnings).map_err(|source| RunError::Trial {
+            experiment: experiment.info().name,
+            policy: member.file.display().to_string(),
+            source,
+        })?;
+        let mut played = self.played.lock().unwrap_or_else(PoisonError::into_inner);
+        played.samples[index] = Some(sample);
+        played.took += start.elapsed();
+        played.left -= 1;
+        progress(Update::Played(self.job, Work { trials: 1, cost_s: self.job.cost_s(index) }))?;
+        if played.left == 0 {
+            let wall_s = played.took.as_secs_f64() / rayon::current_num_threads() as f64;
+            let trials = experiment.info().trials as usize;
+            let mut all = std::mem::take(&mut played.samples).into_iter().flatten();
+            let by_condition: PolicyResult = conditions.iter().map(|_| all.by_ref().take(trials).collect()).collect();
+            settings.store.write(*experiment, key, member, wall_s, by_condition)?;
+            progress(Update::Finished(self.job, wall_s))?;
+            played.lock = None;
+            self.beginnings.forget();
+        }
+        Ok(())
+    }
+}
+
+/// Plays all trials of a queue, the longest first.
+fn play(queue: &[Active], progress: &Progress) -> Result<(), RunError> {
+    let trials: Vec<(&Active, usize)> =
+        queue.iter().flat_map(|it| (0..it.job.work.trials as usize).map(move |index| (it, index))).collect();
+    let mut order: Vec<usize> = (0..trials.len()).collect();
+    order.sort_by(|a, b| {
+        let [a, b] = [a, b].map(|&place| trials[place].0.job.cost_s(trials[place].1));
+        b.total_cmp(&a)
+    });
+    // It must not depend on the threads which trial fails first.
+    let (next, failed) = (AtomicUsize::new(0), Mutex::new(None::<(usize, RunError)>));
+    rayon::broadcast(|_| {
+        while let Some(&place) = order.get(next.fetch_add(1, Ordering::Relaxed)) {
+            let first = || failed.lock().unwrap_or_else(PoisonError::into_inner);
+            if first().as_ref().is_some_and(|(earlier, _)| *earlier < place) {
+                continue;
+            }
+            let (active, index) = trials[place];
+            if let Err(error) = active.play(index, progress) {
+                let mut first = first();
+                if first.as_ref().is_none_or(|(earlier, _)| place < *earlier) {
+                    *first = Some((place, error));
+                }
+            }
+        }
+    });
+    match failed.into_inner().unwrap_or_else(PoisonError::into_inner) {
+        Some((_, error)) => Err(error),
+        None => Ok(()),
+    }
 }
 
 #[cfg(test)]
 mod tests {
-    use std::path::{Path, PathBuf};
+    use std::path::PathBuf;
 
     use super::*;
     use crate::protocol::Protocol;
@@ -208,10 +315,14 @@ mod tests {
         // The second height is refused at once.
         (terrain.heights_m, terrain.frequencies_per_m, terrain.trials) = (vec![0.05, 3.0], vec![0.5], 1);
         let conditions = terrain.conditions().unwrap();
-        let store = MeasurementStore::new(Path::new("nowhere"));
+        let folder = tempfile::tempdir().unwrap();
+        let store = MeasurementStore::new(folder.path());
         let settings = Settings { again: false, sensing: Sensing::Estimated, store };
+        let work = Work { trials: conditions.len() as u64, cost_s: 1.0 };
+        let (name, key) = (String::new(), "0123456789abcdef".to_owned());
+        let job = Job { name, work, experiment: &terrain, conditions, member: &member, settings: &settings, key };
         let threads = rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap();
-        let error = threads.install(|| play_all(&terrain, &conditions, &member, &settings, &|_| ())).unwrap_err();
-        assert!(matches!(error, TrialError::Sensing(_)), "{error}");
+        let error = threads.install(|| run(&[job], &|_| Ok(()))).unwrap_err();
+        assert!(matches!(error, RunError::Trial { source: TrialError::Sensing(_), .. }), "{error}");
     }
 }

@@ -1,6 +1,7 @@
 //! One trial: plays a scenario of a seed with a policy and measures it.
 
 use std::cell::OnceCell;
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
@@ -12,7 +13,7 @@ use supple::scenario::catalog::{Scenario, ScriptError};
 use supple::scenario::estimation::Estimation;
 use supple::scenario::metrics::{self, Metric, PHASE_S};
 use supple::scenario::trace::{EventKind, Trace};
-use supple::scenario::{Playback, Script, Sensing, SensingError};
+use supple::scenario::{Beginning, Playback, Script, Sensing, SensingError};
 use supple::util::random::{Purpose, stream};
 
 /// The reason why a trial cannot be played.
@@ -162,6 +163,54 @@ pub fn set_up(condition: &Condition, seed: u64, agent: &Agent) -> Result<Option<
     Ok(Some((scenario, script)))
 }
 
+/// Undisturbed beginnings that trials of one policy share: a script without its disturbances, and what comes of it until the
+/// latest moment at which one of them may be disturbed; `None` if something happens before.
+#[derive(Debug, Default)]
+pub struct Beginnings(Mutex<Vec<(Script, Arc<OnceLock<Option<Beginning>>>)>>);
+
+impl Beginnings {
+    /// Frees their memory.
+    pub fn forget(&self) {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).clear();
+    }
+
+    /// Plays a trial's playback to its end, from the beginning that other trials have in common with it.
+    fn trace(
+        &self,
+        playback: Playback<'_>,
+        script: &Script,
+        agent: &Agent,
+        with_felt_forces: bool,
+    ) -> mujoco::Result<Trace> {
+        let first_s = script.disturbances.iter().map(|it| it.beginning().1).fold(f64::INFINITY, f64::min);
+        if script.goal.is_some() || !(first_s > 0.0 && first_s < script.duration_s) {
+            return Ok(playback.trace());
+        }
+        let same = Script { disturbances: Vec::new(), duration_s: 0.0, ..script.clone() };
+        let shared = {
+            let mut all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+            match all.iter().find(|(other, _)| *other == same) {
+                Some((_, shared)) => Arc::clone(shared),
+                None => {
+                    let shared = Arc::default();
+                    all.push((same, Arc::clone(&shared)));
+                    shared
+                }
+            }
+        };
+        // Trials of a condition begin within the same time of each other.
+        let until_s = first_s + PHASE_S;
+        let play = || {
+            Playback::beginning(script, &agent.config, agent.controller(), with_felt_forces, until_s)
+                .unwrap_or_default()
+        };
+        match shared.get_or_init(play) {
+            Some(beginning) => playback.trace_after(beginning),
+            None => Ok(playback.trace()),
+        }
+    }
+}
+
 /// Plays a trial of an experiment by its index over all conditions, each with all its trials, with a policy of a `seed`.
 ///
 /// # Errors
@@ -173,14 +222,17 @@ pub fn play_at(
     seed: u64,
     agent: &Agent,
     sensing: Sensing,
+    beginnings: Option<&Beginnings>,
 ) -> Result<Sample, TrialError> {
     let ExperimentInfo { number, trials, .. } = experiment.info();
     let (condition, trial) = (index / trials as usize, index % trials as usize);
     let seed = trial_seed(seed, number, condition, trial as u32);
-    play(experiment, &conditions[condition], seed, agent, sensing)
+    play(experiment, &conditions[condition], seed, agent, sensing, beginnings)
 }
 
 /// Plays a trial of an experiment; the compliance behind the policy's name is commanded where the condition requires none.
+/// On the true state, where nothing is random before the disturbance, trials share `beginnings` of the same policy and experiment,
+/// which gives the same bits sooner.
 ///
 /// # Errors
 /// A parameter of the scenario or the robot is invalid, the scene does not compile, or sensing cannot be simulated.
@@ -190,6 +242,7 @@ pub fn play(
     seed: u64,
     agent: &Agent,
     sensing: Sensing,
+    beginnings: Option<&Beginnings>,
 ) -> Result<Sample, TrialError> {
     let Some((scenario, mut script)) = set_up(condition, seed, agent)? else {
         let values = vec![None; experiment.info().quantities.len()];
@@ -200,7 +253,10 @@ pub fn play(
     script.after_fall_s = 0.0;
     let playback = Playback::new(&script, &agent.config, agent.controller())?.with_sensing(sensing, seed)?;
     let playback = if experiment.observes_forces() { playback.with_felt_forces()? } else { playback };
-    let trace = playback.trace();
+    let trace = match beginnings.filter(|_| sensing == Sensing::True) {
+        Some(beginnings) => beginnings.trace(playback, &script, agent, experiment.observes_forces())?,
+        None => playback.trace(),
+    };
     let trial = Trial::new(&scenario, &script, &trace);
     let TrialValues { values, series } = experiment.measure(&trial);
     let fault = trace.fault().filter(|_| trial.end == TrialEnd::Fault);
@@ -236,7 +292,7 @@ mod tests {
             let sha256 = agent.sha256.clone();
             agent.calibration =
                 Some(PolicyCalibration { sha256, mass_kg: 13.0, own_m_s_per_n: [0.02; 2], tracking: [1.0; 2], points });
-            play(&protocol.leash, &condition, 1, &agent, Sensing::True).unwrap()
+            play(&protocol.leash, &condition, 1, &agent, Sensing::True, None).unwrap()
         };
         let refused = play(0.04);
         assert_eq!((refused.end, &refused.values[..]), (TrialEnd::OutOfReach, &[None, None, None][..]));

@@ -690,3 +690,32 @@ fn names_and_labels_are_checked_before_measuring() {
     evaluate(folder, &["wall", "--out", "r"]);
     assert!(std::fs::read_to_string(folder.join("r/figures/wall.svg")).unwrap().contains("1e-300 m/s"));
 }
+
+#[test]
+fn first_study_of_the_manual_plays_in_miniature() {
+    let page = include_str!("../../docs/first-study.md");
+    let (_, rest) = page.split_once("```yaml\n").unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let write = |name: &str, text: &str| std::fs::write(folder.path().join(name), text).unwrap();
+    write("variants.yaml", rest.split_once("```").unwrap().0);
+    write("tiny.yaml", TINY);
+    let commands = page.lines().filter_map(|line| line.strip_prefix("cargo run --release --bin "));
+    let mut printed = String::new();
+    for command in commands.clone() {
+        let (name, arguments) = command.split_once(" -- ").unwrap();
+        let small = arguments.replace("--samples 3000000", "--samples 8192").replace("--quick", "--protocol tiny.yaml");
+        // Cargo builds the programs of a workspace into one folder.
+        let program = Path::new(env!("CARGO_BIN_EXE_evaluate")).with_file_name(name);
+        assert!(program.is_file(), "build {} first: cargo build --workspace", program.display());
+        let output = Command::new(program).current_dir(folder.path()).args(small.split(' ')).output().unwrap();
+        assert!(output.status.success(), "{command}: {}", complaint(&output));
+        printed.push_str(&String::from_utf8(output.stdout).unwrap());
+    }
+    assert_eq!(commands.count(), 4);
+    assert!(folder.path().join("curves/learning-samples.png").is_file());
+    assert!(folder.path().join("study/report.html").is_file() && printed.contains("fast-thrifty"), "{printed}");
+    let summary = summary(folder.path(), "study");
+    let policies = |set: &str| summary["policies"].as_array().unwrap().iter().filter(|it| it["set"] == set).count();
+    assert_eq!((policies("fast-thrifty"), policies("fast-plain")), (3, 3));
+    assert!(summary["differing_keys"].to_string().contains("reward.energy"), "{}", summary["differing_keys"]);
+}

@@ -4,7 +4,7 @@ Trials have the scenarios and seeds of the program `evaluate`: two policies are 
 the numbers that the program stores.
 */
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
@@ -13,8 +13,12 @@ use numpy::{IntoPyArray, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use supple::scenario::Sensing;
+use supple_evaluate::policy_sets::PolicySets;
 use supple_evaluate::protocol::Protocol;
-use supple_evaluate::trial::{self, Sample, TrialEnd};
+use supple_evaluate::report::{CommandLine, Report, summary};
+use supple_evaluate::runner::{self, RunError};
+use supple_evaluate::study::Study;
+use supple_evaluate::trial::{self, Beginnings, Sample, TrialEnd};
 use supple_evaluate::{Condition, Experiment};
 
 use crate::failure::{apart, failed, refused};
@@ -41,17 +45,14 @@ pub fn evaluate<'py>(
     threads: usize,
 ) -> PyResult<Vec<Measured<'py>>> {
     let protocol = self::protocol(protocol)?;
-    let known = protocol.experiments();
-    let names: Vec<&str> = known.iter().map(|experiment| experiment.info().name).collect();
-    if let Some(unknown) = experiments.iter().flatten().find(|name| !names.contains(&name.as_str())) {
-        return Err(PyValueError::new_err(format!("no experiment '{unknown}'; there are: {}", names.join(", "))));
-    }
+    check(&protocol, experiments.iter().flatten())?;
     let wanted = |name: &str| experiments.as_ref().is_none_or(|wanted| wanted.iter().any(|known| known == name));
     let mut measured = Vec::new();
-    for experiment in known.into_iter().filter(|experiment| wanted(experiment.info().name)) {
+    for experiment in protocol.experiments().into_iter().filter(|experiment| wanted(experiment.info().name)) {
         let conditions = experiment.conditions().map_err(refused)?;
         let sensing = sensing(estimated);
-        let work = Work { experiment, conditions: &conditions, policy, seed, sensing };
+        let beginnings = (!policy.is_function()).then(Beginnings::default);
+        let work = Work { experiment, conditions: &conditions, policy, seed, sensing, beginnings };
         let samples = apart(py, || work.play(threads))?;
         let info = experiment.info();
         let shape = [conditions.len(), experiment.info().trials as usize];
@@ -81,6 +82,8 @@ struct Work<'a> {
     policy: &'a Policy,
     seed: u64,
     sensing: Sensing,
+    /// None for functions, which are asked once for each step.
+    beginnings: Option<Beginnings>,
 }
 
 impl Work<'_> {
@@ -102,22 +105,16 @@ impl Work<'_> {
                 played.lock().unwrap_or_else(PoisonError::into_inner).push((index, sample));
             }
         };
-        let watch = || {
-            std::thread::scope(|scope| {
-                let workers: Vec<_> = (0..threads.clamp(1, count.max(1))).map(|_| scope.spawn(worker)).collect();
-                let mut signals = Ok(());
-                while signals.is_ok() && workers.iter().any(|worker| !worker.is_finished()) {
-                    std::thread::sleep(WAIT);
-                    signals = Python::attach(|py| py.check_signals());
-                }
-                stop.store(true, Ordering::Relaxed);
-                signals
-            })
-        };
         if self.policy.is_function() {
             worker();
         } else {
-            watch()?;
+            let all = || {
+                std::thread::scope(|scope| (0..threads.clamp(1, count.max(1))).for_each(|_| drop(scope.spawn(worker))))
+            };
+            interruptibly(&stop, || {
+                all();
+                Ok(())
+            })?;
         }
         let mut played = played.into_inner().unwrap_or_else(PoisonError::into_inner);
         played.sort_by_key(|(index, _)| *index);
@@ -125,12 +122,69 @@ impl Work<'_> {
     }
 
     fn trial(&self, index: usize) -> PyResult<Sample> {
-        let Work { experiment, conditions, policy, seed, sensing } = *self;
+        let Work { experiment, conditions, policy, seed, sensing, beginnings } = self;
         // A policy function may raise, and then the sample is void.
-        let sample = trial::play_at(index, experiment, conditions, seed, &policy.agent, sensing);
+        let sample =
+            trial::play_at(index, *experiment, conditions, *seed, &policy.agent, *sensing, beginnings.as_ref());
         policy.check()?;
         sample.map_err(failed)
     }
+}
+
+/// Checks the names of experiments.
+fn check<'a>(protocol: &Protocol, mut experiments: impl Iterator<Item = &'a String>) -> PyResult<()> {
+    let known: Vec<&str> = protocol.experiments().iter().map(|experiment| experiment.info().name).collect();
+    experiments.find(|name| !known.contains(&name.as_str())).map_or(Ok(()), |unknown| {
+        Err(PyValueError::new_err(format!("no experiment '{unknown}'; there are: {}", known.join(", "))))
+    })
+}
+
+/// Measures sets of policies, given by name and path, of which the first two are compared, and returns the report's summary as
+/// JSON. The numbers are kept in the folder `out`, and so are not measured again.
+#[pyfunction]
+pub fn compare(
+    py: Python<'_>,
+    sets: Vec<(String, PathBuf)>,
+    experiments: Vec<String>,
+    protocol: &str,
+    estimated: bool,
+    threads: usize,
+    out: PathBuf,
+) -> PyResult<String> {
+    let name = protocol.to_owned();
+    let protocol = self::protocol(protocol)?;
+    check(&protocol, experiments.iter())?;
+    let policies = PolicySets::from_paths(&sets).map_err(refused)?;
+    let compared = PolicySets::from_paths(&sets[..sets.len().min(2)]).map_err(refused)?;
+    let study = Study::new(&protocol, &policies, &compared, &out, false);
+    let stop = AtomicBool::new(false);
+    let progress = |_: runner::Update| {
+        if stop.load(Ordering::Relaxed) { Err(RunError::Stopped) } else { Ok(()) }
+    };
+    let measure = || {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().map_err(failed)?;
+        let run = |jobs: &[runner::Job]| pool.install(|| runner::run(jobs, &progress));
+        study.measure(&experiments, sensing(estimated), run).map_err(failed)
+    };
+    apart(py, || interruptibly(&stop, measure))?;
+    let mut report = Report::new(&policies, name, CommandLine { experiments, options: Vec::new() });
+    study.add_to(&mut report).map_err(failed)?;
+    Ok(summary::json(&report))
+}
+
+/// Does work on a thread of its own; Ctrl-C sets `stop` and wins over what the work returns.
+fn interruptibly<T: Send>(stop: &AtomicBool, work: impl FnOnce() -> PyResult<T> + Send) -> PyResult<T> {
+    std::thread::scope(|scope| {
+        let worker = scope.spawn(work);
+        let mut signals = Ok(());
+        while signals.is_ok() && !worker.is_finished() {
+            std::thread::sleep(WAIT);
+            signals = Python::attach(|py| py.check_signals());
+        }
+        stop.store(true, Ordering::Relaxed);
+        let done = worker.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+        signals.and(done)
+    })
 }
 
 fn protocol(name: &str) -> PyResult<Protocol> {

@@ -21,7 +21,7 @@ mod _supple {
     #[pymodule_export]
     use super::environments::{Environments, cores};
     #[pymodule_export]
-    use super::evaluation::{evaluate, experiments};
+    use super::evaluation::{compare, evaluate, experiments};
     #[pymodule_export]
     use super::failure::panic;
     #[pymodule_export]

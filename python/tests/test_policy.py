@@ -129,6 +129,50 @@ def test_a_function_is_called_on_the_thread_that_asks():
     assert threads == {threading.get_ident()}
 
 
+def test_sets_are_compared_with_the_numbers_of_the_report(programs, tmp_path):
+    paths = {"a": POLICY, "b": "policies/baseline-seed0.safetensors"}
+    found = supple.evaluate(experiments="table4", **{key: programs.root / path for key, path in paths.items()}, out=tmp_path)
+    programs.run("evaluate", "table4", "--quick", "--a", paths["a"], "--b", paths["b"], "--out", tmp_path)
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert found.summary["experiments"] == summary["experiments"] and len(list((tmp_path / "results/table4").glob("*.json"))) == 2
+    claims = summary["experiments"][0]["claims"]
+    assert found.claims["claim"].tolist() == [claim["claim"] for claim in claims]
+    means = [claim["ours"]["sets"]["baseline-seed0"]["mean"] for claim in claims]
+    assert np.array_equal(found.claims["baseline-seed0_mean"], np.array(means, dtype=float), equal_nan=True)
+    # One seed of each set: no interval.
+    assert set(found.claims["pairs"]) == {1} and np.isnan(found.claims["low"]).all()
+    power = (found.numbers["quantity"] == "power_before_w") & (found.numbers["set"] == "compliant-seed0")
+    assert power.any() and found.numbers["seed"][power].tolist() == [0] * power.sum() and (found.numbers["value"][power] > 5).all()
+
+
+def test_sets_that_cannot_be_compared_are_refused(tmp_path):
+    for arguments, words in {
+        (): "one policy, or two sets",
+        (("a", POLICY),): "one policy, or two sets",
+        (("policy", POLICY), ("a", POLICY), ("b", POLICY)): "sets of policies",
+        (("a", POLICY), ("b", POLICY)): "one name",
+        (("a", POLICY), ("b", "baseline"), ("seed", 1)): "seeds of their training",
+        (("a", tmp_path / "runs/mine"), ("b", "baseline")): "runs/mine",
+    }.items():
+        with pytest.raises(ValueError, match=words):
+            supple.evaluate(**dict(arguments))
+
+
+def test_learning_curves_are_arrays_by_seed(tmp_path):
+    rows = [{"samples": 8192 * k, "step_reward": 0.1 * k, "fall_rate": None if k == 1 else 0.5, "time": {"elapsed_s": 2.0 * k}} for k in (1, 2)]
+    for seed, count in ((0, 2), (10, 1)):
+        folder = tmp_path / f"mine-seed{seed}"
+        folder.mkdir()
+        # The last line is cut off, as by a run that is at work.
+        (folder / "metrics.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows[:count]) + '{"samples": 3')
+    curves = supple.learning_curves(tmp_path / "mine")
+    assert list(curves) == [0, 10] and list(supple.learning_curves(tmp_path / "mine-seed10")) == [10]
+    assert curves[0]["samples"].tolist() == [8192, 16384] and curves[0]["time.elapsed_s"].tolist() == [2.0, 4.0]
+    assert np.array_equal(curves[0]["fall_rate"], [np.nan, 0.5], equal_nan=True) and np.isnan(curves[10]["fall_rate"]).all()
+    with pytest.raises(FileNotFoundError, match="none in .*other-seed"):
+        supple.learning_curves(tmp_path / "other")
+
+
 def test_experiments_have_the_numbers_that_the_program_keeps(programs, tmp_path):
     programs.run(
         "evaluate", "table4", "--quick", "--a", POLICY, "--b", "policies/baseline-seed0.safetensors", "--out", tmp_path

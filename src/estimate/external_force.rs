@@ -180,6 +180,12 @@ pub struct ForceObserver {
     limits: [[f64; 2]; JOINTS],
     /// Geometry and radius \[m\] of each foot.
     feet: [FootSphere; 4],
+    memory: Memory,
+}
+
+/// What a [`ForceObserver`] remembers between two readings.
+#[derive(Debug, Clone)]
+pub(crate) struct Memory {
     before: Option<ForceReading>,
     forces: ExternalForces,
     /// Sum of the forces since the last call of [`ForceObserver::take_mean`], and their number.
@@ -189,6 +195,19 @@ pub struct ForceObserver {
     lines: Matrix3<f64>,
     /// Upward force on the trunk, low-passed over [`TIME_CONSTANT_S`]: a push is no lift \[N\].
     lift_n: f64,
+}
+
+impl Default for Memory {
+    fn default() -> Self {
+        Memory {
+            before: None,
+            forces: ExternalForces { doubt: Some(Doubt::Starting), ..ExternalForces::default() },
+            sum: ExternalForces::default(),
+            count: 0,
+            lines: Matrix3::zeros(),
+            lift_n: 0.0,
+        }
+    }
 }
 
 /// Id of a joint in the model and the indices of its angle and rate.
@@ -228,28 +247,24 @@ impl ForceObserver {
             joints,
             limits: robot.joint_limits,
             feet,
-            before: None,
-            lines: Matrix3::zeros(),
-            forces: ExternalForces { doubt: Some(Doubt::Starting), ..ExternalForces::default() },
-            sum: ExternalForces::default(),
-            count: 0,
-            lift_n: 0.0,
+            memory: Memory::default(),
             data: Data::new(model)?,
         })
     }
 
     /// The forces after the last reading.
     pub fn forces(&self) -> &ExternalForces {
-        &self.forces
+        &self.memory.forces
     }
 
     /// Forgets all readings and forces; to be called after the robot has been put elsewhere.
     pub fn reset(&mut self) {
-        self.before = None;
-        self.lines = Matrix3::zeros();
-        self.lift_n = 0.0;
-        self.forces = ExternalForces { doubt: Some(Doubt::Starting), ..ExternalForces::default() };
-        (self.sum, self.count) = (ExternalForces::default(), 0);
+        self.memory = Memory::default();
+    }
+
+    /// What is remembered, for an observer of the same robot that goes on.
+    pub(crate) fn memory(&mut self) -> &mut Memory {
+        &mut self.memory
     }
 
     /// Takes the reading of a physics step, `dt_s` \[s\] after the last one.
@@ -259,21 +274,21 @@ impl ForceObserver {
     /// as before and in [`Doubt::Refused`], and the next reading is a first one.
     pub fn update(&mut self, reading: &ForceReading, dt_s: f64) -> Result<&ExternalForces, ForceFault> {
         let doubt = self.judge(reading, dt_s);
-        self.forces.doubt = doubt.as_ref().map_or(Some(Doubt::Refused), |doubt| *doubt);
-        self.sum.add(&self.forces);
-        self.count += 1;
+        self.memory.forces.doubt = doubt.as_ref().map_or(Some(Doubt::Refused), |doubt| *doubt);
+        self.memory.sum.add(&self.memory.forces);
+        self.memory.count += 1;
         doubt?;
-        self.before = Some(*reading);
-        Ok(&self.forces)
+        self.memory.before = Some(*reading);
+        Ok(&self.memory.forces)
     }
 
     /// Returns the mean of the forces after each reading since the last call, with the first doubt; zero without a reading.
     pub fn take_mean(&mut self) -> ExternalForces {
-        std::mem::take(&mut self.sum).divided(f64::from(std::mem::take(&mut self.count).max(1)))
+        std::mem::take(&mut self.memory.sum).divided(f64::from(std::mem::take(&mut self.memory.count).max(1)))
     }
 
     fn judge(&mut self, reading: &ForceReading, dt_s: f64) -> Result<Option<Doubt>, ForceFault> {
-        let before = self.before.take();
+        let before = self.memory.before.take();
         check(reading, dt_s)?;
         before.map_or(Ok(Some(Doubt::Starting)), |before| Ok(self.balance(&before, reading, dt_s)?))
     }
@@ -292,7 +307,7 @@ impl ForceObserver {
         let up = before.world_from_base.inverse() * Vector3::z();
         let (mut force, mut moment) = (self.base_rows(0), self.base_rows(3));
         let centres = self.feet.map(|foot| Vector3::from(foot.centre(&self.data)));
-        let normal = before.world_from_base.inverse() * ground_normal(&self.lines);
+        let normal = before.world_from_base.inverse() * ground_normal(&self.memory.lines);
         let (mut feet, mut lowest, mut knee) = ([Vector3::zeros(); 4], f64::INFINITY, f64::INFINITY);
         for (leg, foot) in feet.iter_mut().enumerate() {
             let contact = centres[leg] - self.feet[leg].radius_m * normal;
@@ -320,10 +335,11 @@ impl ForceObserver {
         let standing = pairs.filter(|&(leg, other)| carries[leg] && carries[other]);
         let lines = standing.map(|(leg, other)| before.world_from_base * (centres[leg] - centres[other]));
         let sum: Matrix3<f64> = lines.map(|line| line * line.transpose()).sum();
-        self.lines += (1.0 - (-dt_s / GROUND_TIME_S).exp()) * (sum - self.lines);
+        self.memory.lines += (1.0 - (-dt_s / GROUND_TIME_S).exp()) * (sum - self.memory.lines);
         self.note(before, force, moment, feet);
-        self.lift_n += (1.0 - (-dt_s / TIME_CONSTANT_S).exp()) * (self.forces.force.z - self.lift_n);
-        let lying = knee < lowest + LOW_KNEE_M || up.z < 0.5 || self.lift_n > LIFTED * self.weight_n;
+        self.memory.lift_n +=
+            (1.0 - (-dt_s / TIME_CONSTANT_S).exp()) * (self.memory.forces.force.z - self.memory.lift_n);
+        let lying = knee < lowest + LOW_KNEE_M || up.z < 0.5 || self.memory.lift_n > LIFTED * self.weight_n;
         Ok(lying.then_some(Doubt::Lying))
     }
 
@@ -367,9 +383,9 @@ impl ForceObserver {
         let (_, _, yaw) = before.world_from_base.euler_angles();
         let heading_from_base = UnitQuaternion::from_euler_angles(0.0, 0.0, -yaw) * before.world_from_base;
         let bounded = |found: Vector3<f64>, limit: f64| heading_from_base * (found * (limit / found.norm().max(limit)));
-        self.forces.force = bounded(force, self.limit_n);
-        self.forces.moment = bounded(moment, self.limit_n * LIMIT_ARM_M);
-        self.forces.feet = feet.map(|foot| bounded(foot, self.limit_n));
+        self.memory.forces.force = bounded(force, self.limit_n);
+        self.memory.forces.moment = bounded(moment, self.limit_n * LIMIT_ARM_M);
+        self.memory.forces.feet = feet.map(|foot| bounded(foot, self.limit_n));
     }
 }
 

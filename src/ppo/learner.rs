@@ -2,6 +2,7 @@
 
 use std::fmt::Debug;
 use std::sync::Arc;
+use std::time::Duration;
 
 #[cfg(tiles)]
 use super::fused::Tiles;
@@ -48,6 +49,20 @@ pub trait Learner: Debug + Send {
 
     /// Returns a copy of the networks.
     fn parameters(&self) -> ActorCritic;
+
+    /// Returns the time of the last update in which threads worked together.
+    fn together(&self) -> Together {
+        Together::default()
+    }
+}
+
+/// A time in which threads work together.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Together {
+    /// The time on the clock.
+    pub wall: Duration,
+    /// The time that a thread waits in it for others, mean over the threads.
+    pub waiting: Duration,
 }
 
 /// Creates the learner of a configuration, which continues from `state`. The number of threads changes only the speed.

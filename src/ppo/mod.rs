@@ -29,6 +29,6 @@ mod update;
 pub use candle::CandleLearner;
 pub use fused::FusedLearner;
 pub use gaussian::{DiagonalGaussian, KlDivergence};
-pub use learner::{Learner, LearnerState, PrecisionError, learner, resolved};
+pub use learner::{Learner, LearnerState, PrecisionError, Together, learner, resolved};
 pub use loss::{Batch, Samples, entropy_coefficient_after};
 pub use update::{UpdateFault, UpdateStatistics};

@@ -1,10 +1,13 @@
 //! The force observer in play: fed after every physics step with the true state, or with what the sensors read.
 
-use crate::estimate::external_force::{ExternalForces, ForceFault, ForceObserver, ForceReading};
+use crate::estimate::external_force::{ExternalForces, ForceFault, ForceObserver, ForceReading, Memory};
 use crate::mujoco::{self, Data};
 use crate::robot::Joints;
 use crate::scenario::senses::{ExactSensors, Senses};
 use crate::sim::{Conditions, Parts, Sim, StepObserver};
+
+/// What a [`ForceSense`] remembers between physics steps.
+pub(super) type ForceMemory = (Memory, ExactSensors);
 
 /// A [`ForceObserver`] with error-free sensors that feed it unless it gets [`Senses`]. As a [`StepObserver`] it takes the
 /// true state.
@@ -54,6 +57,17 @@ impl ForceSense {
     /// The forces after the last physics step.
     pub fn forces(&self) -> &ExternalForces {
         self.observer.forces()
+    }
+
+    /// Returns what is remembered between physics steps.
+    pub(super) fn save(&mut self) -> ForceMemory {
+        (self.observer.memory().clone(), self.exact.clone())
+    }
+
+    /// Goes on from what another observer of the same robot remembered.
+    pub(super) fn restore(&mut self, (memory, exact): &ForceMemory) {
+        self.observer.memory().clone_from(memory);
+        self.exact.clone_from(exact);
     }
 
     /// Starts again in the present state; to be called after the robot has been put elsewhere.

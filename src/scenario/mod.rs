@@ -20,7 +20,7 @@ use crate::sim::{Conditions, Scene};
 use crate::task::Command;
 use crate::world::{Disturbance, Pull, Push};
 
-pub use playback::{Playback, PlaybackStep};
+pub use playback::{Beginning, Playback, PlaybackStep};
 pub use senses::{Sensing, SensingError};
 
 /// The scene, the command and the disturbances of one playback.

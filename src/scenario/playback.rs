@@ -3,7 +3,7 @@
 
 use std::borrow::Cow;
 
-use super::force_sense::ForceSense;
+use super::force_sense::{ForceMemory, ForceSense};
 use super::senses::Senses;
 use super::{Goal, Script, Sensing, SensingError};
 use crate::config::Config;
@@ -16,7 +16,7 @@ use crate::robot::{GRAVITY_M_S2, Joints, RobotState, joint_name};
 use crate::scenario::trace::{Event, EventKind, Felt, Frame, Pose, Trace};
 use crate::sim::{Fall, Sim};
 use crate::task::{Command, Stage, Stages};
-use crate::world::{Disturbance, Push, World, WorldStep};
+use crate::world::{Disturbance, Push, World, WorldState, WorldStep};
 
 /// Time played after the robot has reached the goal that ends the script \[s\].
 const AFTER_GOAL_S: f64 = 1.0;
@@ -28,6 +28,25 @@ pub struct PlaybackStep {
     pub frame: Option<Frame>,
     /// Events that occurred in the step.
     pub events: Vec<Event>,
+}
+
+/// The undisturbed beginning of a script, step by step.
+#[derive(Debug, Default)]
+pub struct Beginning {
+    /// The moments at which the steps begin.
+    moments: Vec<Moment>,
+    /// The frames of the steps.
+    frames: Vec<Frame>,
+}
+
+/// A moment between two policy steps, from which a playback goes on with the same bits.
+#[derive(Debug)]
+struct Moment {
+    state: RobotState,
+    world: WorldState,
+    forces: Option<ForceMemory>,
+    /// The felt forces and the true force, low-passed.
+    felt: [ExternalForces; 2],
 }
 
 /// A script being played with a controller: an iterator over policy steps.
@@ -171,12 +190,83 @@ impl<'a> Playback<'a> {
 
     /// Plays to the end and returns the trace.
     pub fn trace(self) -> Trace {
-        let mut trace = self.empty_trace();
+        let trace = self.empty_trace();
+        self.trace_on(trace)
+    }
+
+    fn trace_on(self, mut trace: Trace) -> Trace {
         for played in self {
             trace.events.extend(played.events);
             trace.frames.extend(played.frame);
         }
         trace
+    }
+
+    /// Plays the undisturbed beginning of a script for `duration_s` \[s\], for scripts that differ in their disturbances alone;
+    /// `None` if something happens in it.
+    ///
+    /// # Errors
+    /// The same as those of [`Playback::new`].
+    pub fn beginning(
+        script: &Script,
+        config: &'a Config,
+        controller: Box<dyn Controller + 'a>,
+        with_felt_forces: bool,
+        duration_s: f64,
+    ) -> mujoco::Result<Option<Beginning>> {
+        let script = Script { disturbances: Vec::new(), duration_s, ..script.clone() };
+        let mut playback = Self::of(Cow::Owned(script), Cow::Borrowed(config), controller)?;
+        if with_felt_forces {
+            playback = playback.with_felt_forces()?;
+        }
+        let mut beginning = Beginning::default();
+        for _ in 0..playback.length {
+            let moment = Moment {
+                state: playback.world.state().clone(),
+                world: playback.world.save(),
+                forces: playback.force_sense.as_mut().map(ForceSense::save),
+                felt: [playback.felt, playback.true_force],
+            };
+            beginning.moments.push(moment);
+            match playback.next() {
+                Some(PlaybackStep { frame: Some(frame), events }) if events.is_empty() => beginning.frames.push(frame),
+                _ => return Ok(None),
+            }
+        }
+        Ok(Some(beginning))
+    }
+
+    /// Plays to the end and returns the same trace as [`Playback::trace`], but takes from `beginning` what comes before the
+    /// first disturbance. It must be that of this script, configuration and policy, on the true state.
+    ///
+    /// # Errors
+    /// MuJoCo fails in a state of the beginning.
+    pub fn trace_after(mut self, beginning: &Beginning) -> mujoco::Result<Trace> {
+        let first_s = self.script.disturbances.iter().map(|it| it.beginning().1).fold(f64::INFINITY, f64::min);
+        // One step early, so that rounding does not matter.
+        let steps = (first_s / self.sim().policy_period_s() - 1.0).max(0.0) as usize;
+        let steps = steps.min(beginning.moments.len().saturating_sub(1));
+        if steps == 0 {
+            return Ok(self.trace());
+        }
+        let (before, now) = (&beginning.moments[..steps], &beginning.moments[steps]);
+        self.controller.begin(&before[0].state);
+        for moment in before {
+            self.controller.joint_targets(&moment.state, &self.command);
+        }
+        self.controller_must_begin = false;
+        self.world.go_on_from(&now.world)?;
+        self.world.set_felt_force(now.state.felt_force);
+        if let (Some(force_sense), Some(memory)) = (&mut self.force_sense, &now.forces) {
+            force_sense.restore(memory);
+        }
+        [self.felt, self.true_force] = now.felt;
+        let mut trace = self.empty_trace();
+        trace.frames.extend_from_slice(&beginning.frames[..steps]);
+        for frame in &mut trace.frames {
+            frame.stage = self.stage(frame.time_s);
+        }
+        Ok(self.trace_on(trace))
     }
 
     /// Plays one policy step: act, step the world, feel, record.

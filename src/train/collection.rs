@@ -5,12 +5,14 @@ contiguous part of every array. Noise comes from a stream of each environment, a
 bits in any batch: the result does not depend on the number of workers.
 */
 
+use std::time::{Duration, Instant};
+
 use rand::RngExt;
 use rand_distr::StandardNormal;
 
 use crate::mujoco;
 use crate::network::{ActorCritic, PackedMlp, Scratch};
-use crate::ppo::{Batch, DiagonalGaussian};
+use crate::ppo::{Batch, DiagonalGaussian, Together};
 use crate::train::Curriculum;
 use crate::train::environment::{EpisodeEnd, EpisodeReport, LocomotionEnv};
 use crate::util::random::{Purpose, stream};
@@ -41,6 +43,8 @@ pub struct Rollout {
     pub bootstraps: Vec<f32>,
     /// Finished episodes, by environment and then time.
     pub episodes: Vec<EpisodeReport>,
+    /// Time of the workers.
+    pub together: Together,
 }
 
 /// Settings of a collection.
@@ -66,60 +70,46 @@ impl Collection<'_> {
     /// # Errors
     /// MuJoCo fails at the start of an episode. A fault within an episode only ends that episode.
     pub fn collect(&self, envs: &mut [LocomotionEnv]) -> mujoco::Result<Rollout> {
-        let chunk = envs.len().div_ceil(self.threads.max(1)).max(1);
         let networks = Networks {
             policy: PackedMlp::new(&self.network.policy),
             value: PackedMlp::new(&self.network.value),
             gaussian: DiagonalGaussian::new(&self.network.log_std),
             std: self.network.log_std.iter().map(|log_std| log_std.exp()).collect(),
         };
-        let parts: mujoco::Result<Vec<Rollout>> = std::thread::scope(|scope| {
-            let workers: Vec<_> = envs
-                .chunks_mut(chunk)
-                .map(|envs| {
-                    let networks = &networks;
-                    scope.spawn(move || self.collect_chunk(envs, networks))
-                })
-                .collect();
+        let widths = [self.network.policy.inputs(), self.network.value.inputs(), self.network.log_std.len()];
+        // What the critic observes in addition to the policy.
+        let is_privileged = envs.first().is_some_and(|env| env.critic_layout().is_some());
+        let mut rollout = Rollout::zeros(envs.len() * self.steps, self.steps, widths, is_privileged);
+        let share = envs.len().div_ceil(self.threads.max(1)).max(1);
+        let parts = rollout.parts(share * self.steps, widths);
+        let start = Instant::now();
+        let episodes: mujoco::Result<Vec<_>> = std::thread::scope(|scope| {
+            let networks = &networks;
+            let collect =
+                |(envs, part)| scope.spawn(move || Ok((self.collect_part(envs, part, networks)?, start.elapsed())));
+            let workers: Vec<_> = envs.chunks_mut(share).zip(parts).map(collect).collect();
             // A worker that panicked has broken an invariant: pass the panic on.
             workers.into_iter().map(|worker| worker.join().unwrap_or_else(|p| std::panic::resume_unwind(p))).collect()
         });
-        let mut whole = Rollout { steps: self.steps, ..Rollout::default() };
-        for part in parts? {
-            whole.observations.extend(part.observations);
-            whole.critic_observations.extend(part.critic_observations);
-            whole.actions.extend(part.actions);
-            whole.means.extend(part.means);
-            whole.log_probs.extend(part.log_probs);
-            whole.rewards.extend(part.rewards);
-            whole.values.extend(part.values);
-            whole.ends.extend(part.ends);
-            whole.bootstraps.extend(part.bootstraps);
-            whole.episodes.extend(part.episodes);
-        }
-        Ok(whole)
+        let (episodes, ends): (Vec<_>, Vec<_>) = episodes?.into_iter().unzip();
+        rollout.episodes = episodes.concat();
+        let wall = start.elapsed();
+        let waiting = ends.iter().map(|end| wall - *end).sum::<Duration>() / ends.len().max(1) as u32;
+        rollout.together = Together { wall, waiting };
+        Ok(rollout)
     }
 
-    fn collect_chunk(&self, envs: &mut [LocomotionEnv], networks: &Networks) -> mujoco::Result<Rollout> {
+    /// Steps the environments of a worker, and returns their finished episodes by environment and then time.
+    fn collect_part(
+        &self,
+        envs: &mut [LocomotionEnv],
+        rollout: Part<'_>,
+        networks: &Networks,
+    ) -> mujoco::Result<Vec<EpisodeReport>> {
         let (count, steps) = (envs.len(), self.steps);
         let (length, width) = (self.network.policy.inputs(), self.network.log_std.len());
         let critic_length = self.network.value.inputs();
-        // What the critic observes in addition to the policy.
-        let is_privileged = envs.first().is_some_and(|env| env.critic_layout().is_some());
-        let rows = count * steps;
-        let mut rollout = Rollout {
-            steps,
-            observations: vec![0.0; rows * length],
-            critic_observations: vec![0.0; if is_privileged { rows * critic_length } else { 0 }],
-            actions: vec![0.0; rows * width],
-            means: vec![0.0; rows * width],
-            log_probs: vec![0.0; rows],
-            rewards: vec![0.0; rows],
-            values: vec![0.0; rows],
-            ends: vec![None; rows],
-            bootstraps: vec![0.0; rows],
-            episodes: Vec::new(),
-        };
+        let is_privileged = !rollout.critic_observations.is_empty();
         let mut noise: Vec<_> =
             envs.iter().map(|env| stream(self.seed, Purpose::Action, env.index(), self.iteration)).collect();
         let mut scratch = Scratch::default();
@@ -167,16 +157,28 @@ impl Collection<'_> {
             }
         }
 
-        rollout.episodes = episodes.into_iter().flatten().collect();
-        let seen_by_critic = if is_privileged { &rollout.critic_observations } else { &rollout.observations };
-        networks.value.forward(rows, seen_by_critic, &mut rollout.values, &mut scratch);
+        let seen_by_critic: &[f32] = if is_privileged { rollout.critic_observations } else { rollout.observations };
+        networks.value.forward(count * steps, seen_by_critic, rollout.values, &mut scratch);
         let mut final_values = vec![0.0; continued.len()];
         networks.value.forward(continued.len(), &final_observations, &mut final_values, &mut scratch);
         for (row, value) in continued.into_iter().zip(final_values) {
             rollout.bootstraps[row] = value;
         }
-        Ok(rollout)
+        Ok(episodes.concat())
     }
+}
+
+/// The rows of a [`Rollout`] that one worker writes; arrays as there.
+struct Part<'a> {
+    observations: &'a mut [f32],
+    critic_observations: &'a mut [f32],
+    actions: &'a mut [f32],
+    means: &'a mut [f32],
+    log_probs: &'a mut [f32],
+    rewards: &'a mut [f32],
+    values: &'a mut [f32],
+    ends: &'a mut [Option<EpisodeEnd>],
+    bootstraps: &'a mut [f32],
 }
 
 struct Networks {
@@ -187,6 +189,46 @@ struct Networks {
 }
 
 impl Rollout {
+    /// Returns a batch of zeros. `widths` are those of the policy's observation, the critic's, and the actions.
+    fn zeros(rows: usize, steps: usize, [length, critic_length, width]: [usize; 3], is_privileged: bool) -> Self {
+        Rollout {
+            steps,
+            observations: vec![0.0; rows * length],
+            critic_observations: vec![0.0; if is_privileged { rows * critic_length } else { 0 }],
+            actions: vec![0.0; rows * width],
+            means: vec![0.0; rows * width],
+            log_probs: vec![0.0; rows],
+            rewards: vec![0.0; rows],
+            values: vec![0.0; rows],
+            ends: vec![None; rows],
+            bootstraps: vec![0.0; rows],
+            ..Rollout::default()
+        }
+    }
+
+    /// Splits the batch into parts of `rows` rows; the last may have fewer.
+    fn parts(&mut self, rows: usize, [length, critic_length, width]: [usize; 3]) -> Vec<Part<'_>> {
+        let count = self.rewards.len().div_ceil(rows);
+        let mut observations = self.observations.chunks_mut(rows * length);
+        let mut critic_observations = self.critic_observations.chunks_mut(rows * critic_length);
+        let [mut actions, mut means] = [&mut self.actions, &mut self.means].map(|all| all.chunks_mut(rows * width));
+        let all = [&mut self.log_probs, &mut self.rewards, &mut self.values, &mut self.bootstraps];
+        let [mut log_probs, mut rewards, mut values, mut bootstraps] = all.map(|all| all.chunks_mut(rows));
+        let mut ends = self.ends.chunks_mut(rows);
+        let part = |_| Part {
+            observations: observations.next().unwrap_or_default(),
+            critic_observations: critic_observations.next().unwrap_or_default(),
+            actions: actions.next().unwrap_or_default(),
+            means: means.next().unwrap_or_default(),
+            log_probs: log_probs.next().unwrap_or_default(),
+            rewards: rewards.next().unwrap_or_default(),
+            values: values.next().unwrap_or_default(),
+            ends: ends.next().unwrap_or_default(),
+            bootstraps: bootstraps.next().unwrap_or_default(),
+        };
+        (0..count).map(part).collect()
+    }
+
     /// Returns the number of samples.
     pub fn len(&self) -> usize {
         self.rewards.len()

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::Curriculum;
 use crate::config::Config;
-use crate::ppo::UpdateStatistics;
+use crate::ppo::{Together, UpdateStatistics};
 use crate::ranks::{Ranks, sum_over_samples};
 use crate::task::Terms;
 use crate::train::collection::Rollout;
@@ -46,6 +46,12 @@ pub struct Timing {
     pub rollout_s: f64,
     /// Time of the update \[s\].
     pub update_s: f64,
+    /// Part of both in which one thread works alone \[s\].
+    #[serde(default)]
+    pub alone_s: f64,
+    /// Part of the rest in which a thread waits for others, mean over the threads \[s\].
+    #[serde(default)]
+    pub waiting_s: f64,
     /// Samples per second, over the whole iteration [1/s].
     pub samples_per_s: f64,
     /// Training time of the run, over all sessions \[s\].
@@ -53,11 +59,15 @@ pub struct Timing {
 }
 
 impl Timing {
-    /// Computes the times from the parts of an iteration.
-    pub fn new(samples: usize, rollout: Duration, update: Duration, whole: Duration, elapsed_s: f64) -> Self {
+    /// Computes the times from those of collection and update, and from the parts of both in which threads work together.
+    pub fn new(samples: usize, [rollout, update]: [Duration; 2], together: [Together; 2], elapsed_s: f64) -> Self {
+        let whole = rollout + update;
+        let [collected, learnt] = together;
         Timing {
             rollout_s: rollout.as_secs_f64(),
             update_s: update.as_secs_f64(),
+            alone_s: whole.saturating_sub(collected.wall + learnt.wall).as_secs_f64(),
+            waiting_s: (collected.waiting + learnt.waiting).as_secs_f64(),
             samples_per_s: samples as f64 / whole.as_secs_f64().max(1e-9),
             elapsed_s,
         }

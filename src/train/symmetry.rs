@@ -41,10 +41,6 @@ pub struct Mirror {
     action: Vec<(usize, f32)>,
 }
 
-fn reflect(sources: &[(usize, f32)], rows: &[f32]) -> Vec<f32> {
-    rows.chunks_exact(sources.len()).flat_map(|row| sources.iter().map(|(index, sign)| sign * row[*index])).collect()
-}
-
 impl Mirror {
     /// Builds the mirror for a robot, its nominal pose \[rad\], its policy's observation and what the critic observes in
     /// addition.
@@ -71,41 +67,68 @@ impl Mirror {
         Ok(Mirror { observation, critic, action: (0..JOINTS).map(action).collect() })
     }
 
-    /// Returns mirror images of normalised observations, shape (n, observation).
-    fn observations(&self, rows: &[f32]) -> Vec<f32> {
-        reflect(&self.observation, rows)
-    }
-
-    /// Returns mirror images of normalised observations of the critic, shape (n, critic's observation).
-    fn critic_observations(&self, rows: &[f32]) -> Vec<f32> {
-        if rows.is_empty() { Vec::new() } else { reflect(&self.critic, rows) }
-    }
-
-    /// Returns mirror images of actions, shape (n, actions).
-    fn actions(&self, rows: &[f32]) -> Vec<f32> {
-        reflect(&self.action, rows)
-    }
-
     /// Returns the n samples of a batch and, as samples n to 2 n, their mirror images.
     ///
     /// Rewards and values do not change in a mirror, and an image is as likely under the mirrored policy as its sample
     /// was under the policy. The means are those of the policy itself, because the learning rate adapts to the policy's
     /// own change, not to its distance from its image.
     pub fn doubled(&self, batch: &Batch<'_>, policy: &Mlp, threads: usize) -> Samples {
-        let (seen, done) = (self.observations(batch.observations), self.actions(batch.actions));
-        let means = evaluate(&PackedMlp::new(policy), &seen, threads);
+        let policy = &PackedMlp::new(policy);
+        let rows = batch.log_probs.len();
+        let share = rows.div_ceil(threads.max(1)).max(1);
+        let (length, critic_length, width) = (self.observation.len(), self.critic.len().max(1), self.action.len());
+        let doubled = |values: &[f32]| vec![0.0; 2 * values.len()];
+        let mut observations = doubled(batch.observations);
+        let mut critic_observations = doubled(batch.critic_observations);
+        let (mut actions, mut means) = (doubled(batch.actions), doubled(batch.means));
+        std::thread::scope(|scope| {
+            let mut seen = halves(batch.observations, &mut observations, share * length);
+            let mut seen_by_critic = halves(batch.critic_observations, &mut critic_observations, share * critic_length);
+            let mut done = halves(batch.actions, &mut actions, share * width);
+            for (from, to, image) in halves(batch.means, &mut means, share * width) {
+                let (seen, done, seen_by_critic) = (seen.next(), done.next(), seen_by_critic.next());
+                scope.spawn(move || {
+                    to.copy_from_slice(from);
+                    reflect(&self.action, done);
+                    reflect(&self.critic, seen_by_critic);
+                    let seen = reflect(&self.observation, seen);
+                    policy.forward(image.len() / width, seen, image, &mut Scratch::default());
+                });
+            }
+        });
         Samples {
-            observations: [batch.observations, &seen].concat(),
-            critic_observations: [batch.critic_observations, &self.critic_observations(batch.critic_observations)]
-                .concat(),
-            actions: [batch.actions, &done].concat(),
-            means: [batch.means, &means].concat(),
+            observations,
+            critic_observations,
+            actions,
+            means,
             log_std: batch.log_std.to_vec(),
             log_probs: batch.log_probs.repeat(2),
             advantages: batch.advantages.repeat(2),
             returns: batch.returns.repeat(2),
         }
     }
+}
+
+/// Rows, their place in the first half of an array, and that of their images in the second.
+type Halves<'a> = (&'a [f32], &'a mut [f32], &'a mut [f32]);
+
+/// Splits an array of twice the length of `from` into parts of `length` numbers of each half.
+fn halves<'a>(from: &'a [f32], to: &'a mut [f32], length: usize) -> impl Iterator<Item = Halves<'a>> {
+    let (first, second) = to.split_at_mut(from.len());
+    let halves = first.chunks_mut(length).zip(second.chunks_mut(length));
+    from.chunks(length).zip(halves).map(|(from, (first, second))| (from, first, second))
+}
+
+/// Copies rows, writes their images, and returns these.
+fn reflect<'a>(sources: &[(usize, f32)], halves: Option<Halves<'a>>) -> &'a [f32] {
+    let Some((from, to, image)) = halves else { return &[] };
+    to.copy_from_slice(from);
+    for (row, image) in from.chunks_exact(sources.len()).zip(image.chunks_exact_mut(sources.len())) {
+        for (image, (index, sign)) in image.iter_mut().zip(sources) {
+            *image = sign * row[*index];
+        }
+    }
+    image
 }
 
 /// Replaces samples of `order`, all of them below `samples`, by their images with probability ½.
@@ -115,19 +138,6 @@ pub fn flip(order: &mut [u32], samples: usize, rng: &mut impl Rng) {
             *row += samples as u32;
         }
     }
-}
-
-/// Evaluates a network on rows of inputs. Outputs have the same bits for any number of threads.
-fn evaluate(network: &PackedMlp, inputs: &[f32], threads: usize) -> Vec<f32> {
-    let (width, rows) = (network.outputs(), inputs.len() / network.inputs());
-    let chunk = rows.div_ceil(threads.max(1)).max(1);
-    let mut outputs = vec![0.0; rows * width];
-    std::thread::scope(|scope| {
-        for (inputs, outputs) in inputs.chunks(chunk * network.inputs()).zip(outputs.chunks_mut(chunk * width)) {
-            scope.spawn(move || network.forward(outputs.len() / width, inputs, outputs, &mut Scratch::default()));
-        }
-    });
-    outputs
 }
 
 #[cfg(test)]
@@ -202,11 +212,16 @@ mod tests {
         seen
     }
 
+    fn image(sources: &[(usize, f32)], rows: &[f32]) -> Vec<f32> {
+        let mut both = vec![0.0; 2 * rows.len()];
+        reflect(sources, halves(rows, &mut both, rows.len()).next()).to_vec()
+    }
+
     #[test]
     fn mirror_of_left_leaning_robot_leans_right() {
         assert_ne!(leaning(1.0), leaning(-1.0));
-        assert_eq!(mirror().observations(&leaning(1.0)), leaning(-1.0));
-        assert_eq!(mirror().observations(&mirror().observations(&leaning(1.0))), leaning(1.0));
+        assert_eq!(image(&mirror().observation, &leaning(1.0)), leaning(-1.0));
+        assert_eq!(image(&mirror().observation, &image(&mirror().observation, &leaning(1.0))), leaning(1.0));
     }
 
     #[test]
@@ -221,21 +236,21 @@ mod tests {
             with(leaning(1.0), [10.0, 5.0, 1.0, 0.1, 0.2, 0.3, 0.4]),
             with(leaning(-1.0), [10.0, -5.0, 1.0, 0.2, 0.1, 0.4, 0.3]),
         );
-        assert_eq!(mirror.critic_observations(&left), right);
-        assert_eq!(mirror.critic_observations(&[]), [0.0_f32; 0]);
+        assert_eq!(image(&mirror.critic, &left), right);
     }
 
     #[test]
     fn actions_change_sides_and_hips_turn_around() {
         let done: Vec<f32> = (1..=12).map(|k| k as f32).collect();
-        assert_eq!(mirror().actions(&done), [-4.0, 5.0, 6.0, -1.0, 2.0, 3.0, -10.0, 11.0, 12.0, -7.0, 8.0, 9.0]);
+        assert_eq!(image(&mirror().action, &done), [-4.0, 5.0, 6.0, -1.0, 2.0, 3.0, -10.0, 11.0, 12.0, -7.0, 8.0, 9.0]);
     }
 
     #[test]
     fn images_keep_what_has_no_side_and_have_means_of_their_own() {
         let network = ActorCritic::orthogonal(LENGTH, &[16], 12, -1.0, &mut stream(0, Purpose::Weights, 0, 0));
         let seen = [leaning(1.0), leaning(-1.0), leaning(1.0)].concat();
-        let evaluated = evaluate(&PackedMlp::new(&network.policy), &seen, 1);
+        let mut evaluated = vec![0.0; 3 * 12];
+        PackedMlp::new(&network.policy).forward(3, &seen, &mut evaluated, &mut Scratch::default());
         let batch = Batch {
             observations: &seen,
             critic_observations: &[],

@@ -294,14 +294,19 @@ impl Trainer {
             action_std: log_std.iter().map(|value| f64::from(value.exp())).sum::<f64>() / log_std.len() as f64,
             explained_variance,
             learner: statistics,
-            time: Timing::new(samples, collected, whole - collected, whole, self.run.elapsed_s),
+            time: Timing::new(
+                samples,
+                [collected, whole - collected],
+                [rollout.together, self.learner.together()],
+                self.run.elapsed_s,
+            ),
         })
     }
 
     /// Draws an order of each shard's samples on this rank for every epoch; minibatch by minibatch, and in it shard by
     /// shard.
     fn permutations(&self, samples: usize) -> Vec<Vec<u32>> {
-        let (run, ppo) = (&self.run, &self.run.config.ppo);
+        let (run, ppo, is_mirrored) = (&self.run, &self.run.config.ppo, self.mirror.is_some());
         let shards = self.ranks.share(ppo.shards);
         let (size, part) = (samples / shards.len(), ppo.minibatch_size / ppo.shards);
         let order = |epoch: usize, place: usize, shard: usize| {
@@ -309,17 +314,25 @@ impl Trainer {
             let stream = |purpose| stream(run.seed, purpose, run.iteration, epoch as u64 | (shard as u64) << 32);
             let mut order: Vec<u32> = (place * size..(place + 1) * size).map(|row| row as u32).collect();
             order.shuffle(&mut stream(Purpose::Shuffle));
-            if self.mirror.is_some() {
+            if is_mirrored {
                 symmetry::flip(&mut order, samples, &mut stream(Purpose::Mirror));
             }
             order
         };
-        let of_epoch = |epoch: usize| {
+        let of_epoch = &|epoch: usize| {
             let orders: Vec<_> = shards.clone().enumerate().map(|(place, shard)| order(epoch, place, shard)).collect();
             let minibatch = |start: usize| orders.iter().flat_map(move |order| &order[start..start + part]).copied();
             (0..size).step_by(part).flat_map(minibatch).collect()
         };
-        (0..ppo.epochs).map(of_epoch).collect()
+        let mut orders = vec![Vec::new(); ppo.epochs];
+        let share = ppo.epochs.div_ceil(self.threads.max(1));
+        std::thread::scope(|scope| {
+            for (index, orders) in orders.chunks_mut(share).enumerate() {
+                let epochs = index * share..;
+                scope.spawn(move || orders.iter_mut().zip(epochs).for_each(|(order, epoch)| *order = of_epoch(epoch)));
+            }
+        });
+        orders
     }
 
     /// Returns the physics faults of the last iteration, by environment and then time.

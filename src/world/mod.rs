@@ -359,6 +359,17 @@ impl World {
         }
     }
 
+    /// Goes on from the saved state of an undisturbed world, with the disturbances of this one to come.
+    ///
+    /// # Errors
+    /// The same as those of [`World::restore`].
+    pub fn go_on_from(&mut self, undisturbed: &WorldState) -> Result<()> {
+        let to_come = std::mem::take(&mut self.disturbances);
+        self.restore(undisturbed)?;
+        self.disturbances = to_come;
+        Ok(())
+    }
+
     /// Restores a saved state.
     ///
     /// # Errors

@@ -8,7 +8,7 @@ mod csv_tables;
 pub(crate) mod html;
 mod markdown;
 pub mod other_reports;
-mod summary;
+pub mod summary;
 pub mod text;
 
 use std::collections::BTreeSet;

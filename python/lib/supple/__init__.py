@@ -1,12 +1,12 @@
 """Compliant legged locomotion for Python.
 
 `make_vec` creates training environments, `Policy.load` loads a policy, `run_scenario` plays a disturbance of it, and
-`evaluate` measures it in the experiments of the paper. docs/python.md is the manual.
+`evaluate` measures it, or compares sets, in the experiments of the paper. docs/python.md is the manual.
 """
 
 from ._supple import CONFIGURATIONS, POLICIES, RECORDS, REVISION, __version__
 from .environment import STAGES, Curriculum, LocomotionEnv, LocomotionVectorEnv, make, make_vec
-from .experiment import Experiment, evaluate, experiments
+from .experiment import Comparison, Experiment, evaluate, experiments, learning_curves
 from .policy import Policy, describe
 from .scenario import Event, Run, run_scenario, scenarios
 
@@ -16,6 +16,7 @@ __all__ = [
     "RECORDS",
     "REVISION",
     "STAGES",
+    "Comparison",
     "Curriculum",
     "Event",
     "Experiment",
@@ -27,6 +28,7 @@ __all__ = [
     "describe",
     "evaluate",
     "experiments",
+    "learning_curves",
     "make",
     "make_vec",
     "run_scenario",

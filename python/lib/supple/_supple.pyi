@@ -15,6 +15,7 @@ __all__ = [
     "_panic",
     "cores",
     "describe",
+    "compare",
     "evaluate",
     "experiments",
     "run_scenario",
@@ -123,6 +124,14 @@ def run_scenario(
 ]:
     """Returns metrics (name, value, unit), trace arrays (frames, …), events (time [s], kind, text), and a warning or None."""
 
+def compare(
+    sets: list[tuple[str, str]],
+    experiments: list[str],
+    protocol: str,
+    estimated: bool,
+    threads: int,
+    out: str,
+) -> str: ...
 def evaluate(
     policy: Policy,
     experiments: list[str] | None,

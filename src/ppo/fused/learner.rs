@@ -24,6 +24,7 @@ use super::{Arithmetic, Chunk};
 use crate::config::{LOG_STD_RANGE, Ppo};
 use crate::network::ActorCritic;
 use crate::network::kernels::{AlignedBuffer, SumOfSquares};
+use crate::ppo::learner::Together;
 use crate::ppo::loss::Minibatch;
 use crate::ppo::update::{UpdateProgress, check};
 use crate::ppo::{Batch, DiagonalGaussian, KlDivergence, Learner, LearnerState, UpdateFault, UpdateStatistics};
@@ -58,6 +59,7 @@ pub struct FusedLearner<A> {
     exchanged: Mutex<Exchanged>,
     steps: u64,
     learning_rate: f64,
+    together: Together,
     /// Networks of zeros, which provide the shapes.
     shapes: ActorCritic,
 }
@@ -84,6 +86,7 @@ impl<A: Arithmetic> FusedLearner<A> {
             ranks,
             steps: state.steps,
             learning_rate: state.learning_rate,
+            together: Together::default(),
             shapes: state.parameters.zeros_like(),
             settings,
         }
@@ -218,7 +221,7 @@ impl<A: Arithmetic> Learner for FusedLearner<A> {
         check(batch, permutations, &self.shapes, &self.settings, &*self.ranks)?;
         let minibatches = Minibatch::all(batch, &self.settings, permutations, &*self.ranks);
         let progress = Mutex::new(UpdateProgress::new(self.steps, self.learning_rate, minibatches.len()));
-        Team::run(self.threads, |team| {
+        let together = Team::run(self.threads, |team| {
             let workspace = &mut self.arithmetic.workspace();
             for minibatch in &minibatches {
                 self.differentiate(team, workspace, minibatch, |summary| {
@@ -236,6 +239,7 @@ impl<A: Arithmetic> Learner for FusedLearner<A> {
         let progress = progress.into_inner().unwrap_or_else(PoisonError::into_inner);
         self.steps = progress.steps;
         self.learning_rate = progress.learning_rate;
+        self.together = together;
         let mut statistics = progress.statistics;
         // The largest over all ranks; the rest are sums over them already.
         for other in self.ranks.gather(statistics.max_ratio.to_le_bytes().to_vec()) {
@@ -257,5 +261,9 @@ impl<A: Arithmetic> Learner for FusedLearner<A> {
 
     fn parameters(&self) -> ActorCritic {
         self.unpacked(|parameters| &parameters.values)
+    }
+
+    fn together(&self) -> Together {
+        self.together
     }
 }

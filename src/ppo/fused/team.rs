@@ -27,9 +27,12 @@ Why no two phases overlap, and why a phase sees everything that the one before h
 ThreadSanitizer agrees: docs/reliability.md.
 */
 
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 use std::thread;
+use std::time::{Duration, Instant};
+
+use crate::ppo::learner::Together;
 
 /// Number of spins before a waiting thread offers its core to others, perhaps to those it waits for: on a busy machine
 /// long spins cost more than half of the speed, on an idle one short spins cost nothing.
@@ -46,10 +49,11 @@ pub struct Team {
     broken: AtomicBool,
 }
 
-/// A counter on a cache line of its own, so that threads do not slow each other down.
+/// The number of tasks taken from a thread's part, and the time for which the thread has waited \[ns\], on a cache line of their
+/// own, so that threads do not slow each other down.
 #[derive(Debug, Default)]
 #[repr(align(64))]
-struct CacheLine(AtomicUsize);
+struct CacheLine(AtomicUsize, AtomicU64);
 
 /// A thread of a team.
 #[derive(Debug, Clone, Copy)]
@@ -59,11 +63,12 @@ pub struct Member<'a> {
 }
 
 impl Team {
-    /// Runs `work` on `threads` threads, this one included, and returns when all are done.
+    /// Runs `work` on `threads` threads, this one included, and returns when all are done, with the time that it took.
     ///
     /// # Panics
     /// `work` panics on any thread.
-    pub fn run(threads: usize, work: impl Fn(Member<'_>) + Sync) {
+    pub fn run(threads: usize, work: impl Fn(Member<'_>) + Sync) -> Together {
+        let start = Instant::now();
         let team = Self {
             taken: (0..threads).map(|_| CacheLine::default()).collect(),
             arrived: AtomicUsize::new(0),
@@ -80,6 +85,8 @@ impl Team {
             }
             member(0);
         });
+        let waited = team.taken.iter().map(|line| line.1.load(Ordering::Relaxed)).sum();
+        Together { wall: start.elapsed(), waiting: Duration::from_nanos(waited) / threads as u32 }
     }
 }
 
@@ -107,7 +114,9 @@ impl Member<'_> {
             team.arrived.store(0, Ordering::Relaxed);
             team.phase.store(phase.wrapping_add(1), Ordering::Release);
         } else {
+            let since = Instant::now();
             team.wait_while(phase);
+            team.taken[self.index].1.fetch_add(since.elapsed().as_nanos() as u64, Ordering::Relaxed);
         }
     }
 }

@@ -20,8 +20,9 @@ use supple_evaluate::plot::png::Renderer;
 use supple_evaluate::policy_sets::PolicySets;
 use supple_evaluate::protocol::Protocol;
 use supple_evaluate::report::other_reports::OtherReport;
-use supple_evaluate::report::{CommandLine, Report, Section, text};
-use supple_evaluate::runner::{self, Measurement, ON_SENSORS, Settings};
+use supple_evaluate::report::{CommandLine, Report, text};
+use supple_evaluate::runner::{self, Settings};
+use supple_evaluate::study::Study;
 
 fn main() -> ExitCode {
     supple::robot::isolate_imports();
@@ -55,41 +56,10 @@ fn run(args: &Args) -> anyhow::Result<()> {
     let on_sensors = report.sensing.notes.iter().filter(|_| args.sensing == Sensing::Estimated);
     policies.notes.iter().chain(on_sensors).for_each(|note| terminal::note(format_args!("note: {note}")));
     prepare(args)?;
-    let settings = Settings { again: args.again, sensing: Sensing::True, store: MeasurementStore::new(&args.out) };
-    let on_sensors = Settings { sensing: Sensing::Estimated, ..settings.clone() };
-    let wanted = |name: &str| args.experiments.is_empty() || args.experiments.iter().any(|chosen| chosen == name);
-    // E12 compares estimates with the true state, so both are run.
-    let on_sensors = (args.sensing == Sensing::Estimated).then_some(&on_sensors);
-    let experiments = protocol.experiments().into_iter().filter(|experiment| wanted(experiment.info().name));
-    let mut jobs = Vec::new();
-    for experiment in experiments {
-        jobs.extend(runner::jobs(experiment, &policies, &settings, "")?);
-        if let Some(settings) = on_sensors {
-            jobs.extend(runner::jobs(experiment, &compared, settings, ON_SENSORS)?);
-        }
-    }
-    progress::run(&jobs)?;
-
-    let mut faults = Vec::new();
-    // The report includes what other processes have measured meanwhile; the last process reports everything.
-    let _lock = settings.store.lock_report(progress::waits)?;
-    for experiment in protocol.experiments() {
-        let finished = |policies, sensing| runner::finished(experiment, policies, &settings.store, sensing);
-        let (truth, estimated) = (finished(&policies, Sensing::True)?, finished(&compared, Sensing::Estimated)?);
-        for (measured, on) in [(&truth, ""), (&estimated, ON_SENSORS)] {
-            let Some(Measurement { results, .. }) = measured else { continue };
-            let name = experiment.info().name;
-            let of_set = |set| Some(format!("experiment {name}{on}: {}", results.faults(set)?));
-            faults.extend((0..results.sets.len()).filter_map(of_set));
-        }
-        if let (Some(truth), Some(estimated)) = (&truth, &estimated) {
-            report.sensing.add(experiment, truth, estimated);
-        }
-        match truth {
-            Some(measurement) => report.add(Section::new(experiment, &measurement)),
-            None => report.missing.push(experiment.info()),
-        }
-    }
+    let study = Study::new(&protocol, &policies, &compared, &args.out, args.again);
+    study.measure(&args.experiments, args.sensing, progress::run)?;
+    let _lock = MeasurementStore::new(&args.out).lock_report(progress::waits)?;
+    let faults = study.add_to(&mut report)?;
     let mut failed = report.write(&args.out)?;
     if let Some(path) = &args.results {
         failed.extend(report.write_document(path)?);

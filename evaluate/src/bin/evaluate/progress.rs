@@ -6,7 +6,7 @@ use std::time::Instant;
 use supple::util::progress::{ProgressBar, progress};
 use supple::util::terminal;
 use supple_evaluate::report::duration;
-use supple_evaluate::runner::{Job, RunError, Update};
+use supple_evaluate::runner::{self, Job, RunError, Update};
 
 /// The number of steps of the bar per second of simulated time.
 const STEPS: f64 = 1000.0;
@@ -20,27 +20,23 @@ pub fn run(jobs: &[Job]) -> Result<(), RunError> {
     let bar = progress(jobs.iter().map(|job| steps(job.work.cost_s)).sum());
     let left = AtomicU64::new(jobs.iter().map(|job| job.work.trials).sum());
     let start = Instant::now();
-    let show = |left: u64, job: &Job| bar.set_message(format!("{left} trials left: {}", job.name));
-    for job in jobs {
-        show(left.load(Ordering::Relaxed), job);
-        let begun = Instant::now();
-        let is_played = job.run(&|update| match update {
-            Update::Played(work) => {
-                let before = left.fetch_sub(work.trials, Ordering::Relaxed);
-                show(before - work.trials, job);
-                bar.inc(steps(work.cost_s));
-            }
-            Update::Waits(other) => bar.suspend(|| waits(&other)),
-        })?;
-        let took_s = begun.elapsed().as_secs_f64();
-        let left = left.load(Ordering::Relaxed);
-        // What another process has measured has its line there.
-        let line = is_played
-            .then(|| format!("{}: {} trials in {took_s:.1} s{}", job.name, job.work.trials, ahead(&bar, left, start)));
-        bar.suspend(|| line.into_iter().for_each(terminal::note));
-    }
+    let show = |update: Update| match update {
+        Update::Begins => {}
+        Update::Played(job, work) => {
+            let left = left.fetch_sub(work.trials, Ordering::Relaxed) - work.trials;
+            bar.set_message(format!("{left} trials left: {}", job.name));
+            bar.inc(steps(work.cost_s));
+        }
+        Update::Finished(job, took_s) => {
+            let ahead = ahead(&bar, left.load(Ordering::Relaxed), start);
+            let line = format!("{}: {} trials in {took_s:.1} s{ahead}", job.name, job.work.trials);
+            bar.suspend(|| terminal::note(line));
+        }
+        Update::Waits(other) => bar.suspend(|| waits(other)),
+    };
+    let done = runner::run(jobs, &|update| Ok(show(update)));
     bar.finish_and_clear();
-    Ok(())
+    done
 }
 
 /// Returns the trials and the time that are left, from the time of those that were played; nothing if none are left.
