@@ -1,4 +1,4 @@
-//! Draws the videos at the top of the README: a push while walking, and a hand that pulls among blocks and mats.
+//! Draws the videos of the README (a push while walking) and of docs/compliance.md (a hand that pulls among blocks and mats).
 //!
 //! `cargo run --release -p supple-record --features video --example opening -- docs/images`
 
