@@ -300,6 +300,27 @@ mod tests {
     }
 
     #[test]
+    fn trials_that_share_their_beginning_give_the_same_numbers() {
+        let protocol = Protocol::quick().unwrap();
+        let mut agent = supple::policy::shipped::find("baseline").unwrap();
+        let experiments: [(&dyn Experiment, _); 3] =
+            [(&protocol.push_grid, None), (&protocol.leash, Some(0.03)), (&protocol.calibration, None)];
+        for (experiment, compliance) in experiments {
+            let beginnings = Beginnings::default();
+            let mut conditions = experiment.conditions().unwrap();
+            conditions.truncate(3);
+            agent.commanded_compliance = compliance;
+            for (seed, condition) in conditions.iter().enumerate() {
+                let play = |beginnings| play(experiment, condition, seed as u64, &agent, Sensing::True, beginnings);
+                let [alone, shared] = [None, Some(&beginnings)].map(|shared| play(shared).unwrap());
+                assert_eq!(alone, shared, "{}: {}", experiment.info().name, condition.label);
+            }
+            let shared = beginnings.0.into_inner().unwrap();
+            assert!(shared.iter().any(|(_, beginning)| matches!(beginning.get(), Some(Some(_)))));
+        }
+    }
+
+    #[test]
     fn push_grid_trial_ends_after_the_watch() {
         let grid = Protocol::quick().unwrap().push_grid;
         let config = supple::config::Config::load("compliant").unwrap();
