@@ -11,7 +11,7 @@ use crate::machine::Machine;
 use crate::peers::Peers;
 use crate::physics::Physics;
 use crate::pit::Pit;
-use crate::training::{Projection, Training};
+use crate::training::Training;
 
 /// All figures. The first seven are ratios within this run; those of peers are none where they did not run.
 #[derive(Debug, Serialize)]
@@ -53,7 +53,7 @@ impl Report {
             update_over_torch: torch.map(|torch| update.all_threads.sample_passes_per_s / torch),
             end_to_end_over_sb3: sb3.map(|sb3| training.all_threads.samples_per_s / sb3),
             end_to_end_over_sb3_on_supple: on_supple.map(|sb3| training.all_threads.samples_per_s / sb3),
-            thread_scaling: training.whole.speed_up,
+            thread_scaling: training.speed_up,
             ball_pit_real_time: ball_pit.real_time,
             machine,
             physics,
@@ -116,15 +116,6 @@ impl Display for Report {
                 row("  update [s]", figure(sb3, "update_s"))?;
             }
         }
-        for Projection { cores, samples_per_s } in &training.projected {
-            writeln!(
-                f,
-                "{:<58}{:>12}",
-                format!("training, projected to {cores} cores [samples/s]"),
-                short(*samples_per_s)
-            )?;
-        }
-
         writeln!(f, "\n{:<46}{:>12}{:>12}", "", "measured", "target")?;
         let mut row = |name: &str, value: Option<f64>, target: f64| {
             let (value, verdict) = match value {

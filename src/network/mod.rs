@@ -10,5 +10,4 @@ mod packed;
 pub(crate) mod panel;
 
 pub use layers::{ActorCritic, Layer, Mlp, NetworkError};
-pub(crate) use packed::BLOCK;
 pub use packed::{PackedMlp, Scratch};

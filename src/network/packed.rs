@@ -7,7 +7,7 @@ use super::panel::{self, pack, panel_starts};
 use super::{Layer, Mlp};
 
 /// Number of rows evaluated together, so that their activations stay in the cache between layers.
-pub const BLOCK: usize = 64;
+const BLOCK: usize = 64;
 
 /// A network packed for evaluation. Rows may be evaluated in any grouping and on any number of threads: the bits of
 /// each row stay the same.
@@ -77,7 +77,8 @@ impl PackedMlp {
             let rows = block.len() / self.inputs;
             for (i, layer) in self.layers.iter().enumerate() {
                 let elu = i + 1 < self.layers.len();
-                panel::forward(self.arch, rows, x, layer.panels.iter(), layer.outputs, elu, y);
+                let panels = layer.panels.iter().map(AlignedBuffer::rows);
+                panel::forward(self.arch, rows, x, (panels, 1), layer.outputs, elu, y);
                 std::mem::swap(&mut x, &mut y);
             }
             out.chunks_mut(output_count).enumerate().for_each(|(row, values)| x.read_row(row, values));

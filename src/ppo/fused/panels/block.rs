@@ -2,8 +2,8 @@
 
 use pulp::Arch;
 
-use super::panel::Panel;
-use crate::network::BLOCK;
+use super::BLOCK;
+use super::slice::{SLICE, Slice};
 use crate::network::kernels::{AlignedBuffer, Ends, Matrix, PANEL, Product, Stretch};
 use crate::network::{Mlp, panel};
 use crate::ppo::fused::LayerPanels;
@@ -36,17 +36,18 @@ impl PanelBlock {
     }
 
     /// Gathers the inputs of `rows` and evaluates the network.
-    pub fn forward(&mut self, arch: Arch, layers: &[LayerPanels<'_, '_, Panel>], observations: &[f32], rows: &[u32]) {
+    pub fn forward(&mut self, arch: Arch, layers: &[LayerPanels<'_, '_, Slice>], observations: &[f32], rows: &[u32]) {
         self.rows = rows.len();
         let size = layers[0][0].inputs;
         for (to, &row) in rows.iter().enumerate() {
             self.activations[0].set_row(to, &observations[row as usize * size..][..size]);
         }
-        for (i, panels) in layers.iter().enumerate() {
+        for (i, slices) in layers.iter().enumerate() {
             let (before, after) = self.activations.split_at_mut(i + 1);
             let elu = i + 1 < layers.len();
-            let values = panels.iter().map(|panel| &panel.parameters.values);
-            panel::forward(arch, self.rows, &before[i], values, panels[0].layer_outputs, elu, &mut after[0]);
+            let rows = slices.iter().map(|slice| slice.parameters.values.rows());
+            let weights = (rows, slices[0].per_panel());
+            panel::forward(arch, self.rows, &before[i], weights, slices[0].layer_outputs, elu, &mut after[0]);
         }
     }
 
@@ -59,19 +60,24 @@ impl PanelBlock {
     }
 
     /// Propagates the loss gradient from the last layer's output back to the first layer's.
-    pub fn backward(&mut self, arch: Arch, layers: &[LayerPanels<'_, '_, Panel>]) {
+    pub fn backward(&mut self, arch: Arch, layers: &[LayerPanels<'_, '_, Slice>]) {
         let (last, rows) = (layers.len() - 1, self.output_deltas.chunks(self.outputs).take(self.rows).enumerate());
         rows.for_each(|(row, values)| self.deltas[last].set_row(row, values));
-        for (i, panels) in layers.iter().enumerate().skip(1).rev() {
+        for (i, slices) in layers.iter().enumerate().skip(1).rev() {
             let (before, after) = self.deltas.split_at_mut(i);
             let mut stretches = Vec::new();
             let columns = before[i - 1].panels_mut().zip(self.activations[i].panels()).enumerate();
             for (column, (c, y)) in columns {
                 stretches.clear();
+                let (slice, column_of_slice) = (column * PANEL / SLICE, column % (SLICE / PANEL));
+                let of_column = slices.iter().skip(slice).step_by(slices[0].per_panel());
                 stretches.extend(
-                    after[0].panels().zip(panels.iter()).map(|(a, panel)| Stretch { a, b: panel.transposed(column) }),
+                    after[0]
+                        .panels()
+                        .zip(of_column)
+                        .map(|(a, slice)| Stretch { a, b: slice.transposed(column_of_slice) }),
                 );
-                let (columns, ends) = (panels[0].inputs - column * PANEL, Ends::EluSlope { y });
+                let (columns, ends) = (slices[0].inputs - column * PANEL, Ends::EluSlope { y });
                 let columns = columns.min(PANEL);
                 let product = Product { rows: self.rows, columns, stretches: &stretches, a_transposed: false, ends, c };
                 product.compute(arch);

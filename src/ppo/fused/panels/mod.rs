@@ -1,34 +1,37 @@
-/*! The f32 arithmetic, for every machine: weights in panels of 32 outputs, in portable SIMD.
+/*! The f32 arithmetic, for every machine: weights in slices of panels of 32 outputs, in portable SIMD.
 
-Blocks and panels are in read-write locks: a phase writes one kind and reads the other. No gradient is ever summed
+Blocks and slices are in read-write locks: a phase writes one kind and reads the other. No gradient is ever summed
 across threads, and sums of partial results run in a fixed order, so the parameters have the same bits for any number of
 threads, and for any instruction set.
 */
 
 mod block;
-mod panel;
+mod slice;
 
 use std::sync::RwLock;
 
 use pulp::Arch;
 
 use self::block::PanelBlock;
-use self::panel::Panel;
+use self::slice::Slice;
 use super::losses::Pass;
 use super::optimizer::{Adam, AdamParameters, AdamStep};
 use super::team::{Member, read, write};
 use super::{Arithmetic, Chunk, LayerPanels};
+use crate::network::ActorCritic;
 use crate::network::kernels::{AlignedBuffer, ColumnSums, Ends, PANEL, Product, Stretch, SumOfSquares};
-use crate::network::panel::{panel_outputs, panel_starts, unpack};
-use crate::network::{ActorCritic, BLOCK};
+use crate::network::panel::{panel_outputs, unpack};
 use crate::ppo::loss::Minibatch;
+
+/// Number of rows in a block: few enough that 64 threads all have one of a minibatch of 512 samples.
+const BLOCK: usize = 16;
 
 /// Both networks in single precision.
 #[derive(Debug)]
 pub struct Panels {
     pub(in crate::ppo) arch: Arch,
-    /// Panels of both networks, layer by layer.
-    panels: Vec<RwLock<Panel>>,
+    /// Slices of both networks, layer by layer.
+    slices: Vec<RwLock<Slice>>,
     /// Blocks of the policy and of the value function.
     blocks: [Vec<RwLock<PanelBlock>>; 2],
     /// Number of layers of the policy.
@@ -43,24 +46,23 @@ impl Arithmetic for Panels {
     type Workspace = ();
 
     fn new(parts: [&ActorCritic; 3], blocks: usize) -> Self {
-        let mut panels = Vec::new();
+        let mut slices = Vec::new();
         for (network, mlps) in [parts.map(|part| &part.policy), parts.map(|part| &part.value)].into_iter().enumerate() {
-            for (depth, layer) in mlps[0].layers.iter().enumerate() {
+            for depth in 0..mlps[0].layers.len() {
                 let layers = mlps.map(|mlp| &mlp.layers[depth]);
-                let panel = |first| RwLock::new(Panel::new(network, depth, first, layers));
-                panels.extend(panel_starts(layer.outputs()).map(panel));
+                slices.extend(Slice::all(network, depth, layers).into_iter().map(RwLock::new));
             }
         }
         let blocks = [&parts[0].policy, &parts[0].value]
             .map(|mlp| (0..blocks).map(|_| RwLock::new(PanelBlock::new(mlp))).collect());
-        Self { arch: Arch::new(), panels, blocks, depth: parts[0].policy.layers.len() }
+        Self { arch: Arch::new(), slices, blocks, depth: parts[0].policy.layers.len() }
     }
 
     fn workspace(&self) {}
 
     fn passes(&self, team: Member<'_>, (): &mut (), minibatch: &Minibatch<'_>, chunk: Chunk, loss: impl Fn(Pass<'_>)) {
-        let panels: Vec<_> = self.panels.iter().map(read).collect();
-        let layers: Vec<_> = panels.chunk_by(|a, b| (a.network, a.depth) == (b.network, b.depth)).collect();
+        let slices: Vec<_> = self.slices.iter().map(read).collect();
+        let layers: Vec<_> = slices.chunk_by(|a, b| (a.network, a.depth) == (b.network, b.depth)).collect();
         let (policy, value) = layers.split_at(self.depth);
         let networks: [&[LayerPanels<'_, '_, _>]; 2] = [policy, value];
         let inputs = [minibatch.batch.observations, minibatch.batch.value_inputs()];
@@ -77,62 +79,66 @@ impl Arithmetic for Panels {
 
     fn gradients(&self, team: Member<'_>, (): &mut (), chunk: Chunk, conclude: impl FnOnce(f64)) {
         let task = |task: usize| {
-            let panel = &mut *write(&self.panels[task]);
-            let blocks: Vec<_> = self.blocks[panel.network][..chunk.blocks].iter().map(read).collect();
-            let (depth, index) = (panel.depth, panel.first / PANEL);
+            let slice = &mut *write(&self.slices[task]);
+            let blocks: Vec<_> = self.blocks[slice.network][..chunk.blocks].iter().map(read).collect();
+            let (depth, index) = (slice.depth, slice.first / PANEL);
+            let has_bias = slice.has_bias();
             let mut stretches = Vec::new();
             for piece in chunk.pieces() {
+                let gradient = &mut slice.parameters.gradient;
                 if piece.is_first {
-                    panel.parameters.gradient.fill(0.0);
+                    gradient.fill(0.0);
                 }
-                let (bias, weights) =
-                    panel.parameters.gradient.rows_mut().split_last_mut().expect("a row for the bias");
-                for (input, c) in weights.chunks_mut(PANEL).enumerate() {
+                let weights = gradient.rows().len() - usize::from(has_bias);
+                let (weights, bias) = gradient.rows_mut().split_at_mut(weights);
+                for (input, c) in (slice.from / PANEL..).zip(weights.chunks_mut(PANEL)) {
                     stretches.clear();
                     stretches.extend(blocks[piece.blocks.clone()].iter().map(|block| Stretch {
                         a: &block.activations[depth].panel(input)[..block.rows],
                         b: &block.deltas[depth].panel(index)[..block.rows],
                     }));
-                    let (rows, columns) = (c.len(), panel_outputs(panel.layer_outputs, panel.first));
+                    let (rows, columns) = (c.len(), panel_outputs(slice.layer_outputs, slice.first));
                     let (stretches, ends) = (&stretches[..], Ends::Add);
                     Product { rows, columns, stretches, a_transposed: true, ends, c }.compute(self.arch);
                 }
                 // The deltas, which are the same for all inputs.
-                self.arch.dispatch(ColumnSums { stretches: &stretches, sums: bias });
+                for sums in bias {
+                    self.arch.dispatch(ColumnSums { stretches: &stretches, sums });
+                }
                 if piece.is_last {
-                    panel.tree.add(piece.shard, chunk.shards, &mut panel.parameters.gradient);
+                    slice.tree.add(piece.shard, chunk.shards, &mut slice.parameters.gradient);
                 }
             }
             if chunk.completes {
-                panel.squares = self.arch.dispatch(SumOfSquares(&panel.parameters.gradient));
+                slice.squares = self.arch.dispatch(SumOfSquares(&slice.parameters.gradient));
             }
         };
-        team.phase(self.panels.len(), task, || conclude(self.panels.iter().map(|panel| read(panel).squares).sum()));
+        team.phase(self.slices.len(), task, || conclude(self.slices.iter().map(|slice| read(slice).squares).sum()));
     }
 
     fn panels(&self) -> usize {
-        self.panels.len()
+        self.slices.len()
     }
 
     fn gradient(&self, panel: usize, with: impl FnOnce(&mut AlignedBuffer)) -> f64 {
-        let panel = &mut *write(&self.panels[panel]);
-        with(&mut panel.parameters.gradient);
-        self.arch.dispatch(SumOfSquares(&panel.parameters.gradient))
+        let slice = &mut *write(&self.slices[panel]);
+        with(&mut slice.parameters.gradient);
+        self.arch.dispatch(SumOfSquares(&slice.parameters.gradient))
     }
 
     fn steps(&self, team: Member<'_>, (): &mut (), step: &AdamStep) {
         let task = |task: usize| {
-            let mut panel = write(&self.panels[task]);
-            self.arch.dispatch(Adam { parameters: &mut panel.parameters, step });
-            panel.transpose();
+            let mut slice = write(&self.slices[task]);
+            self.arch.dispatch(Adam { parameters: &mut slice.parameters, step });
+            slice.transpose();
         };
-        team.phase(self.panels.len(), task, || ());
+        team.phase(self.slices.len(), task, || ());
     }
 
     fn unpack(&self, part: fn(&AdamParameters) -> &AlignedBuffer, networks: &mut ActorCritic) {
-        for panel in self.panels.iter().map(read) {
-            let mlp = if panel.network == 0 { &mut networks.policy } else { &mut networks.value };
-            unpack(part(&panel.parameters), panel.first, &mut mlp.layers[panel.depth]);
+        for slice in self.slices.iter().map(read) {
+            let mlp = if slice.network == 0 { &mut networks.policy } else { &mut networks.value };
+            unpack(part(&slice.parameters).rows(), slice.first, slice.from, &mut mlp.layers[slice.depth]);
         }
     }
 }
