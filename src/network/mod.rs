@@ -10,4 +10,5 @@ mod packed;
 pub(crate) mod panel;
 
 pub use layers::{ActorCritic, Layer, Mlp, NetworkError};
+pub(crate) use packed::BLOCK;
 pub use packed::{PackedMlp, Scratch};

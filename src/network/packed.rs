@@ -7,7 +7,7 @@ use super::panel::{self, pack, panel_starts};
 use super::{Layer, Mlp};
 
 /// Number of rows evaluated together, so that their activations stay in the cache between layers.
-const BLOCK: usize = 64;
+pub const BLOCK: usize = 64;
 
 /// A network packed for evaluation. Rows may be evaluated in any grouping and on any number of threads: the bits of
 /// each row stay the same.

@@ -19,6 +19,8 @@ pub struct Chunk {
     pub start: usize,
     /// Number of blocks in the chunk.
     pub blocks: usize,
+    /// Number of rows of a block; the last of a shard may have fewer.
+    pub rows: usize,
     /// True if the chunk completes the gradient: the minibatch ends, and no other rank adds to it.
     pub completes: bool,
     /// Number of blocks in each shard.
@@ -62,8 +64,12 @@ impl Chunk {
 
 /// Both networks, their gradients and Adam's moments in one arithmetic. All threads of a team call every phase.
 pub trait Arithmetic: Debug + Send + Sync + Sized {
-    /// Number of rows that go through a network together.
+    /// Largest number of rows that go through a network together.
     const BLOCK: usize;
+
+    /// Smallest number of rows that go through a network together where threads lack work; losses are summed over as many. A power
+    /// of two of them make a block.
+    const LEAST_BLOCK: usize;
 
     /// Number of rows of a chunk for each two threads: as many as fit into the caches together with the weights.
     const CHUNK: usize;
@@ -114,7 +120,7 @@ mod tests {
     #[test]
     fn chunks_are_cut_where_shards_end() {
         let pieces = |start, blocks| {
-            let chunk = Chunk { start, blocks, completes: false, shard_blocks: 3, shards: 4 };
+            let chunk = Chunk { start, blocks, rows: 64, completes: false, shard_blocks: 3, shards: 4 };
             chunk.pieces().map(|piece| (piece.blocks, piece.shard, piece.is_first, piece.is_last)).collect::<Vec<_>>()
         };
         assert_eq!(pieces(0, 4), [(0..3, 0, true, true), (3..4, 1, true, false)]);

@@ -52,9 +52,11 @@ pub struct FusedLearner<A> {
     ranks: Arc<dyn Ranks>,
     pub(in crate::ppo) arithmetic: A,
     log_std: RwLock<AdamParameters>,
+    /// Number of rows of a block.
+    block: usize,
     /// Number of blocks in a chunk.
     chunk_blocks: usize,
-    /// Losses of each block, of the policy and of the value function.
+    /// Losses of each [`Arithmetic::LEAST_BLOCK`] rows, of the policy and of the value function.
     sums: [Vec<Mutex<Sums>>; 2],
     exchanged: Mutex<Exchanged>,
     steps: u64,
@@ -74,13 +76,20 @@ impl<A: Arithmetic> FusedLearner<A> {
         let parts = [&state.parameters, &state.first_moment, &state.second_moment];
         let threads = threads.max(1);
         let shards = settings.shards / ranks.count();
-        let blocks = shards * (settings.minibatch_size / settings.shards).div_ceil(A::BLOCK);
-        let chunk_blocks = (A::CHUNK * threads.div_ceil(2) / A::BLOCK).min(blocks);
+        let blocks = |size: usize| shards * (settings.minibatch_size / settings.shards).div_ceil(size);
+        // Every thread has one, of one of the two networks.
+        let mut block = A::BLOCK;
+        while block > A::LEAST_BLOCK && 2 * blocks(block) < threads {
+            block /= 2;
+        }
+        let chunk_blocks = (A::CHUNK * threads.div_ceil(2) / block).min(blocks(block));
+        let sums = blocks(A::LEAST_BLOCK);
         Self {
             arithmetic: A::new(parts, chunk_blocks),
+            block,
             chunk_blocks,
             log_std: RwLock::new(AdamParameters::new(parts.map(|part| AlignedBuffer::from(&*part.log_std)))),
-            sums: std::array::from_fn(|_| (0..blocks).map(|_| Mutex::default()).collect()),
+            sums: std::array::from_fn(|_| (0..sums).map(|_| Mutex::default()).collect()),
             exchanged: Mutex::default(),
             threads,
             ranks,
@@ -109,22 +118,26 @@ impl<A: Arithmetic> FusedLearner<A> {
     ) {
         let new = DiagonalGaussian::new(&read(&self.log_std).values);
         let kl = KlDivergence::new(&DiagonalGaussian::new(minibatch.batch.log_std), &new);
+        let (shards, shard_blocks) = (minibatch.shards, minibatch.shard_blocks(self.block));
         let loss = |pass: Pass<'_>| {
             let (network, block) = (pass.network, pass.block);
-            let rows = minibatch.block(A::BLOCK, block);
-            *lock(&self.sums[network][block]) = if network == 0 {
-                pass.policy_loss(minibatch, rows, &new, &kl)
-            } else {
-                pass.value_loss(minibatch, rows)
-            };
+            let rows = minibatch.block(self.block, block).chunks(A::LEAST_BLOCK);
+            let of_shard = minibatch.shard_blocks(A::LEAST_BLOCK);
+            let first = block / shard_blocks * of_shard + block % shard_blocks * (self.block / A::LEAST_BLOCK);
+            for ((sums, pass), rows) in self.sums[network][first..].iter().zip(pass.parts(A::LEAST_BLOCK)).zip(rows) {
+                *lock(sums) = if network == 0 {
+                    pass.policy_loss(minibatch, rows, &new, &kl)
+                } else {
+                    pass.value_loss(minibatch, rows)
+                };
+            }
         };
-        let (shards, shard_blocks) = (minibatch.shards, minibatch.shard_blocks(A::BLOCK));
         let blocks = shards * shard_blocks;
         let (mut conclude, are_several) = (Some(conclude), self.ranks.count() > 1);
         for start in (0..blocks).step_by(self.chunk_blocks) {
             let end = blocks.min(start + self.chunk_blocks);
             let completes = end == blocks && !are_several;
-            let chunk = Chunk { start, blocks: end - start, completes, shard_blocks, shards };
+            let chunk = Chunk { start, blocks: end - start, rows: self.block, completes, shard_blocks, shards };
             self.arithmetic.passes(team, workspace, minibatch, chunk, loss);
             self.arithmetic.gradients(team, workspace, chunk, |squares| {
                 if let Some(conclude) = conclude.take_if(|_| completes) {
@@ -165,7 +178,7 @@ impl<A: Arithmetic> FusedLearner<A> {
     /// Sums over this rank's shards, in the order of their tree: policy loss, divergence, clipped samples, value loss
     /// and the gradient of the policy loss by `ln σ`.
     fn totals(&self, minibatch: &Minibatch<'_>) -> Vec<f64> {
-        let shard_blocks = minibatch.shard_blocks(A::BLOCK);
+        let shard_blocks = minibatch.shard_blocks(A::LEAST_BLOCK);
         let sum = |network: usize, part: &dyn Fn(&Sums) -> f64| {
             let of_shard = |shard: usize| &self.sums[network][shard * shard_blocks..][..shard_blocks];
             tree_sum(minibatch.shards, |shard| of_shard(shard).iter().map(|sums| part(&lock(sums))).sum())
@@ -187,7 +200,7 @@ impl<A: Arithmetic> FusedLearner<A> {
         for (gradient, sum) in log_std.gradient.iter_mut().zip(&totals[LOSSES..]) {
             *gradient = (sum - minibatch.settings.entropy_coefficient) as f32;
         }
-        let blocks = minibatch.shards * minibatch.shard_blocks(A::BLOCK);
+        let blocks = minibatch.shards * minibatch.shard_blocks(A::LEAST_BLOCK);
         let gradient_norm = (squares + Arch::new().dispatch(SumOfSquares(&log_std.gradient))).sqrt();
         let kl = mean(1);
         UpdateStatistics {

@@ -33,7 +33,14 @@ pub struct Sums {
     pub log_std_gradient: Vec<f64>,
 }
 
-impl Pass<'_> {
+impl<'a> Pass<'a> {
+    /// Splits the block into parts of `rows` rows.
+    pub fn parts(self, rows: usize) -> impl Iterator<Item = Pass<'a>> {
+        let Pass { network, block, stride, outputs, deltas } = self;
+        let parts = outputs.chunks(rows * stride).zip(deltas.chunks_mut(rows * stride));
+        parts.map(move |(outputs, deltas)| Pass { network, block, stride, outputs, deltas })
+    }
+
     /// Computes the policy loss of `rows` and its gradient by the means and `ln σ`.
     pub fn policy_loss(
         self,

@@ -2,10 +2,9 @@
 
 use pulp::Arch;
 
-use super::BLOCK;
 use super::slice::{SLICE, Slice};
 use crate::network::kernels::{AlignedBuffer, Ends, Matrix, PANEL, Product, Stretch};
-use crate::network::{Mlp, panel};
+use crate::network::{BLOCK, Mlp, panel};
 use crate::ppo::fused::LayerPanels;
 use crate::ppo::fused::losses::Pass;
 

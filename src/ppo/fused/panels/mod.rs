@@ -18,13 +18,10 @@ use super::losses::Pass;
 use super::optimizer::{Adam, AdamParameters, AdamStep};
 use super::team::{Member, read, write};
 use super::{Arithmetic, Chunk, LayerPanels};
-use crate::network::ActorCritic;
 use crate::network::kernels::{AlignedBuffer, ColumnSums, Ends, PANEL, Product, Stretch, SumOfSquares};
 use crate::network::panel::{panel_outputs, unpack};
+use crate::network::{ActorCritic, BLOCK};
 use crate::ppo::loss::Minibatch;
-
-/// Number of rows in a block: few enough that 64 threads all have one of a minibatch of 512 samples.
-const BLOCK: usize = 16;
 
 /// Both networks in single precision.
 #[derive(Debug)]
@@ -40,6 +37,8 @@ pub struct Panels {
 
 impl Arithmetic for Panels {
     const BLOCK: usize = BLOCK;
+    /// 64 threads all have a block of a minibatch of 512 samples.
+    const LEAST_BLOCK: usize = 16;
     const CHUNK: usize = 128;
     /// Zero: the policy of the rollout has the same bits.
     const KL_ROUNDING: f64 = 0.0;
@@ -69,7 +68,7 @@ impl Arithmetic for Panels {
         let task = |task: usize| {
             let (network, index) = (task / chunk.blocks, task % chunk.blocks);
             let mut block = write(&self.blocks[network][index]);
-            let rows = minibatch.block(BLOCK, chunk.start + index);
+            let rows = minibatch.block(chunk.rows, chunk.start + index);
             block.forward(self.arch, networks[network], inputs[network], rows);
             loss(block.pass(network, chunk.start + index));
             block.backward(self.arch, networks[network]);

@@ -47,6 +47,7 @@ pub struct Tiles {
 
 impl Arithmetic for Tiles {
     const BLOCK: usize = ROWS;
+    const LEAST_BLOCK: usize = ROWS;
     const CHUNK: usize = 256;
     const KL_ROUNDING: f64 = 1e-6;
     type Workspace = Workspace;
