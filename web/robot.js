@@ -53,7 +53,7 @@ export class Robot {
     this.stand = [...this.model.numeric_data.slice(0, alone.nq)];
     this.limits = [...alone.actuator_ctrlrange].filter((_, k) => k % 2);
     this.trunk = mujoco.mj_name2id(this.model, mujoco.mjtObj.mjOBJ_BODY.value, "trunk");
-    this.mass = alone.body_mass.reduce((sum, mass) => sum + mass);
+    this.soles = ["FR", "FL", "RR", "RL"].map((leg) => mujoco.mj_name2id(this.model, mujoco.mjtObj.mjOBJ_GEOM.value, `${leg}_foot`));
     this.latency = new Latency(simulation.latency_s, this.dt_s);
     this.observer = new ForceObserver(mujoco, alone);
     Object.assign(this, { command: [0, 0, 0], pull: null, time_s: 0, falls: 0 });
@@ -159,6 +159,11 @@ export class Robot {
   /** Low, or on its side. (Programs also look for parts on the ground.) */
   hasFallen() {
     return this.data.qpos[2] < this.policy.fallHeight || this.base()[2][2] < 0.5;
+  }
+
+  /** Centres of the feet, world frame [m]. */
+  feet() {
+    return this.soles.map((sole) => [...this.data.geom_xpos.slice(3 * sole, 3 * sole + 3)]);
   }
 
   /** What is measured and drawn after a step. */
