@@ -21,9 +21,9 @@ const $ = (id) => document.getElementById(id);
 const worker = new Worker("physics.js", { type: "module" });
 let robots = [];
 let [paused, rate, range] = [false, null, [0, 0, 0]];
-window.state = { robots };
 
 const send = (name, value = null) => worker.postMessage({ [name]: value });
+window.state = { robots, send }; // For tests.
 const push = (size) => send("push", size);
 const pull = (force) => {
   send("pull", force);
@@ -108,7 +108,7 @@ function play(answer) {
     robots[index].title = title(robots[index]);
   });
   rate = answer.rate;
-  window.state = { robots, rate, pictures: picture.rate, poses: answer.robots };
+  Object.assign(window.state, { robots, rate, pictures: picture.rate, poses: answer.robots });
   newest = answer.robots;
   if (answer.robots[0].reading) read();
   if (waiting) return;

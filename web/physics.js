@@ -14,28 +14,34 @@ const bytes = async (name) => {
   if (!answer.ok) throw new Error(`${name}: ${answer.status}`);
   return answer;
 };
-const json = async (name) => (await bytes(name)).json();
+const text = async (name) => (await bytes(name)).text();
 
 /** Loads MuJoCo from its package, which is shipped compressed. */
 async function load() {
   const packed = await bytes("mujoco.js.gz");
-  const text = await new Response(packed.body.pipeThrough(new DecompressionStream("gzip"))).blob();
-  const address = URL.createObjectURL(new Blob([text], { type: "text/javascript" }));
+  const unpacked = await new Response(packed.body.pipeThrough(new DecompressionStream("gzip"))).blob();
+  const address = URL.createObjectURL(new Blob([unpacked], { type: "text/javascript" }));
   const module = await import(address);
   URL.revokeObjectURL(address);
   return module.default();
 }
 
 const policies = {};
-/** A policy by its name, fetched once. */
+/** A policy by its name, fetched once: its first seed, as the programs take it. */
 const policy = (name) => (policies[name] ??= Promise.all([
-  bytes(`policies/${name}.safetensors`).then((answer) => answer.arrayBuffer()), json(`policies/${name}.calibration.json`),
+  bytes(`policies/${name}-seed0.safetensors`).then((answer) => answer.arrayBuffer()), text(`policies/${name}-seed0.calibration.json`).then(JSON.parse),
 ]).then((parts) => new Policy(...parts)));
+
+/** The parameters of a scenario, which are numbers, by name. */
+const parameters = async (name) => {
+  const lines = (await text(`configs/scenarios/${name}.yaml`)).matchAll(/^(\w+): (\S+)$/gm);
+  return Object.fromEntries([...lines].map(([, key, value]) => [key, Number(value)]));
+};
 
 const first = policy("real");
 first.catch(() => {});
-const loading = Promise.all([load(), bytes("go1.xml").then((answer) => answer.text()), json("scenarios.json"), first])
-  .then(([mujoco, robot, scenarios]) => ({ mujoco, files: { robot, scenarios }, alone: compile(mujoco, ALONE, robot) }));
+const loading = Promise.all([load(), text("models/go1.xml"), parameters("ball-pit"), parameters("rubble"), first])
+  .then(([mujoco, robot, balls, rubble]) => ({ mujoco, files: { robot, balls, rubble }, alone: compile(mujoco, ALONE, robot) }));
 
 /** What is drawn of a model, except the ground: the body, shape, size, place and colour of each geometry. */
 function looks(model, from) {

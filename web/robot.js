@@ -46,7 +46,7 @@ export class Robot {
     this.period_s = 1 / simulation.policy_rate_hz;
     const name = (geom) => mujoco.mj_id2name(alone, mujoco.mjtObj.mjOBJ_GEOM.value, geom);
     const colliding = Array.from({ length: alone.ngeom }, (_, geom) => geom).filter((geom) => alone.geom_contype[geom] > 0).map(name);
-    this.model = compile(mujoco, sceneXml(scene, files.scenarios, colliding, this.dt_s), files.robot);
+    this.model = compile(mujoco, sceneXml(scene, files, colliding, this.dt_s), files.robot);
     if (scene === "flat") for (const masks of ["geom_contype", "geom_conaffinity", "body_contype", "body_conaffinity"]) this.model[masks].fill(0);
     this.data = new mujoco.MjData(this.model);
     this.joints = alone.nu;

@@ -35,16 +35,16 @@ function blocks({ block_edge_m: edge, block_height_m: height, distance_m, width_
   }).join("\n");
 }
 
-/** The scenes by name: obstacles from the parameters of their scenario, and the solver. */
+/** The scenes by name: obstacles from the parameters of their scenario, and attributes of the solver. */
 export const SCENES = {
   flat: [() => "", ""],
-  "ball pit": [(parameters) => balls(parameters["ball-pit"]), 'solver="CG" iterations="20"'],
-  blocks: [(parameters) => blocks(parameters.rubble), 'solver="CG" iterations="30"'],
+  "ball pit": [(files) => balls(files.balls), 'solver="CG" iterations="20"'],
+  blocks: [(files) => blocks(files.rubble), 'solver="CG" iterations="30"'],
 };
 
 /** The MJCF of a scene. `colliding` are the names of the robot's parts that touch the ground. */
-export function sceneXml(name, parameters, colliding, timestep_s) {
-  const [obstacles, solver] = [SCENES[name][0](parameters), SCENES[name][1]];
+export function sceneXml(name, files, colliding, timestep_s) {
+  const [obstacles, solver] = [SCENES[name][0](files), SCENES[name][1]];
   const [sliding, torsional, rolling] = FRICTION;
   const friction = [sliding, sliding, torsional, rolling, rolling].join(" ");
   const pair = (part) => `<pair geom1="ground" geom2="${part}" condim="3" friction="${friction}"/>`;
