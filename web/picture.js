@@ -11,6 +11,13 @@ const [REACH_M, FLICK_MS, FLICK_PX] = [0.8, 280, 12];
 /** Frame rate below which the picture becomes coarser, and the rates of pixels that are tried. */
 const [SLOW_HZ, FINENESS] = [50, [1, 0.75, 0.5, 0.35]];
 
+/** True where no graphics processor draws. */
+const IS_SOFTWARE = (() => {
+  const context = document.createElement("canvas").getContext("webgl");
+  const about = context?.getExtension("WEBGL_debug_renderer_info");
+  return /swiftshader|llvmpipe|software/i.test(about ? context.getParameter(about.UNMASKED_RENDERER_WEBGL) : "");
+})();
+
 const up = new THREE.Vector3(0, 0, 1);
 const SUN = new THREE.Vector3(0.9, -1.1, 3);
 /** Moves points along the light onto the ground: shadows for the price of a second mesh. */
@@ -180,24 +187,17 @@ function pattern(light, dark, line) {
   brush.lineWidth = 2;
   brush.strokeRect(0, 0, 256, 256);
   const texture = new THREE.CanvasTexture(canvas);
-  Object.assign(texture, { wrapS: THREE.RepeatWrapping, wrapT: THREE.RepeatWrapping, colorSpace: THREE.SRGBColorSpace, anisotropy: 4 });
+  Object.assign(texture, { wrapS: THREE.RepeatWrapping, wrapT: THREE.RepeatWrapping, colorSpace: THREE.SRGBColorSpace, anisotropy: IS_SOFTWARE ? 1 : 8 });
   texture.repeat.set(24, 24);
   return texture;
-}
-
-/** True where no graphics processor draws. */
-function isSoftware() {
-  const context = document.createElement("canvas").getContext("webgl");
-  const about = context?.getExtension("WEBGL_debug_renderer_info");
-  return /swiftshader|llvmpipe|software/i.test(about ? context.getParameter(about.UNMASKED_RENDERER_WEBGL) : "");
 }
 
 /** Draws robots into an element. `on.pull(force or null)` and `on.push(size)` are parts of the whole, forward and left. */
 export class Picture {
   constructor(place, on) {
-    Object.assign(this, { place, on, views: [], fineness: 0, frames: 0, since: performance.now(), last: 0, rate: null });
+    Object.assign(this, { place, on, views: [], fineness: IS_SOFTWARE ? 1 : 0, frames: 0, since: performance.now(), last: 0, rate: null });
     this.orbit = { around: -2.25, above: 0.5, away: 2.2 };
-    this.renderer = new THREE.WebGLRenderer({ antialias: !isSoftware(), stencil: true, powerPreference: "high-performance" });
+    this.renderer = new THREE.WebGLRenderer({ antialias: !IS_SOFTWARE, stencil: true, powerPreference: "high-performance" });
     this.renderer.setScissorTest(true);
     place.append(this.renderer.domElement);
     new ResizeObserver(() => this.resize()).observe(place);
