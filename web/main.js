@@ -17,13 +17,14 @@ const MOST = { "m/s": 1, N: 60 };
 const [SLOW, FEW_HZ] = [0.97, 50];
 const PROGRAMS = "2.2.2";
 
+addEventListener("error", ({ message }) => fail(message)); // No WebGL, for instance.
+
 const $ = (id) => document.getElementById(id);
 const worker = new Worker("physics.js", { type: "module" });
 let robots = [];
 let [paused, rate, range] = [false, null, [0, 0, 0]];
 
 const send = (name, value = null) => worker.postMessage({ [name]: value });
-window.state = { robots, send }; // For tests.
 const push = (size) => send("push", size);
 const pull = (force) => {
   send("pull", force);
@@ -34,6 +35,7 @@ const picture = new Picture($("robots"), {
   pull: (part) => pull(part && part.map((it) => it * MOST.N)),
   push: (part) => push(part.map((it) => it * MOST["m/s"])),
 });
+window.state = { robots, send, picture }; // For tests.
 
 // ---- what hands do
 
@@ -108,7 +110,7 @@ function play(answer) {
     robots[index].title = title(robots[index]);
   });
   rate = answer.rate;
-  Object.assign(window.state, { robots, rate, pictures: picture.rate, poses: answer.robots });
+  Object.assign(window.state, { robots, rate, poses: answer.robots });
   newest = answer.robots;
   if (answer.robots[0].reading) read();
   if (waiting) return;
@@ -143,6 +145,8 @@ function say(text, alarm = false) {
 }
 
 function fail(problem) {
+  if ($("hint").className === "alarm") return;
+  worker.terminate();
   $("hint").textContent = `The robots cannot run in this browser: ${problem}`;
   $("hint").className = "alarm";
   say("stopped", true);

@@ -45,24 +45,27 @@ const loading = Promise.all([load(), text("models/go1.xml"), parameters("ball-pi
 
 /** What is drawn of a model, except the ground: the body, shape, size, place and colour of each geometry. */
 function looks(model, from) {
+  const isRobot = from === 1;
   const part = (all, index, length) => [...all.slice(length * index, length * (index + 1))];
   const shown = (geom) => model.geom_bodyid[geom] >= from && model.geom_group[geom] < 3;
   return Array.from({ length: model.ngeom }, (_, geom) => geom).filter(shown).map((geom) => {
     const material = model.geom_matid[geom];
     const rgba = material < 0 ? part(model.geom_rgba, geom, 4) : part(model.mat_rgba, material, 4);
     const [size, position] = [model.geom_size, model.geom_pos].map((all) => part(all, geom, 3));
-    return { body: model.geom_bodyid[geom], type: model.geom_type[geom], rgba, size, position, quaternion: part(model.geom_quat, geom, 4) };
+    return { isRobot, body: model.geom_bodyid[geom], type: model.geom_type[geom], rgba, size, position, quaternion: part(model.geom_quat, geom, 4) };
   });
 }
 
 let players = [];
-let shown = 0;
+let [shown, starts] = [0, 0];
 let clock = { at: 0, due: 0, speed: 1, paused: false, rate: null, since: 0, played: 0 };
 
 /** Starts robots in a scene. */
 async function start({ robots, scene, command = [0, 0, 0] }) {
+  const mine = (starts += 1);
   const { mujoco, files, alone } = await loading;
   const chosen = await Promise.all(robots.map(({ policy: name }) => policy(name)));
+  if (mine !== starts) return; // Others have been chosen meanwhile.
   for (const { robot } of players) robot.delete();
   players = robots.map(({ compliance }, index) => {
     const robot = new Robot(mujoco, files, alone, chosen[index], scene);

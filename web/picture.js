@@ -8,8 +8,8 @@ const [METRES_PER_NEWTON, METRES_PER_PUSH, PUSH_SHOWN_S, ROPE_M, FELT_HEIGHT_M, 
 const [TRAIL_S, TRAIL_DOTS, CAMERA_LAG_S, LIGHT, TINT_SHARE] = [0.1, 150, 0.3, 0.6, 0.7];
 /** Distance of a hand from the robot that pulls or pushes with all its force [m]; a shorter drag than this pushes [ms, px]. */
 const [REACH_M, FLICK_MS, FLICK_PX] = [0.8, 280, 12];
-/** Frame rate below which the picture becomes coarser, and the rates of pixels that are tried. */
-const [SLOW_HZ, FINENESS] = [50, [1, 0.75, 0.5, 0.35]];
+/** Frame rate below which the picture becomes coarser, the rates of pixels that are tried, and the fewest pixels. */
+const [SLOW_HZ, FINENESS, FEWEST] = [50, [1, 0.75, 0.5, 0.35], 1.5e5];
 
 /** True where no graphics processor draws. */
 const IS_SOFTWARE = (() => {
@@ -27,11 +27,13 @@ const vector = (array) => new THREE.Vector3(...array);
 /** The solid of a geometry, in the frame of its body; types are MuJoCo's. */
 function solid({ type, size: [a, b, c], position, quaternion: [w, x, y, z] }) {
   const upright = (geometry) => geometry.rotateX(Math.PI / 2);
+  // Small parts need few corners.
+  const around = 8 + 2 * Math.min(5, Math.floor(100 * a));
   const geometry = {
-    2: () => new THREE.SphereGeometry(a, 16, 12),
-    3: () => upright(new THREE.CapsuleGeometry(a, 2 * b, 4, 12)),
-    4: () => new THREE.SphereGeometry(1, 18, 12).scale(a, b, c),
-    5: () => upright(new THREE.CylinderGeometry(a, a, 2 * b, 18)),
+    2: () => new THREE.SphereGeometry(a, around, around / 2),
+    3: () => upright(new THREE.CapsuleGeometry(a, 2 * b, 3, around)),
+    4: () => new THREE.SphereGeometry(1, 16, 10).scale(a, b, c),
+    5: () => upright(new THREE.CylinderGeometry(a, a, 2 * b, around)),
     6: () => new THREE.BoxGeometry(2 * a, 2 * b, 2 * c),
   }[type]();
   return geometry.applyMatrix4(new THREE.Matrix4().compose(vector(position), new THREE.Quaternion(x, y, z, w), new THREE.Vector3(1, 1, 1)));
@@ -90,9 +92,8 @@ class View {
     this.focus = null;
     const material = new THREE.MeshPhongMaterial({ vertexColors: true, shininess: 40, specular: 0x444444 });
     this.bodies = [...new Set(parts.map(({ body }) => body))].map((body) => {
-      // The robot's bodies come first.
       const own = parts.filter((part) => part.body === body);
-      return [body, mesh(own, body <= 13 ? tint : null, material)];
+      return [body, mesh(own, own[0].isRobot ? tint : null, material)];
     });
     // Each point of the ground is darkened once.
     const dark = new THREE.MeshBasicMaterial({
@@ -121,6 +122,7 @@ class View {
 
   paint({ sky, floor }) {
     this.scene.background = this.scene.fog.color = new THREE.Color(sky);
+    this.floor.material.map?.dispose();
     Object.assign(this.floor.material, { map: floor, needsUpdate: true });
   }
 
@@ -261,8 +263,9 @@ export class Picture {
     if (time - this.since < 2e3) return;
     this.rate = (this.frames * 1e3) / (time - this.since);
     [this.frames, this.since] = [0, time];
-    if (this.rate > SLOW_HZ || document.hidden || !this.views.length || this.fineness === FINENESS.length - 1) return;
-    this.fineness += 1;
+    const { width, height } = this.renderer.domElement;
+    if (this.rate > SLOW_HZ || document.hidden || !this.views.length || width * height < FEWEST) return;
+    this.fineness = Math.min(FINENESS.length - 1, this.fineness + 1);
     this.resize();
   }
 

@@ -50,11 +50,12 @@ export class Policy {
   /** Compares the network with the answers that its file has from training. */
   check(observations, targets) {
     const length = this.offset.length;
-    targets.forEach((target, k) => {
-      const row = Math.floor(k / this.nominal.length);
-      const found = this.act(observations.subarray(row * length, (row + 1) * length))[k % this.nominal.length];
-      if (!(Math.abs(found - target) < 1e-5)) throw new Error(`the network answers ${found} rad, its file says ${target}`);
-    });
+    for (let row = 0; row * length < observations.length; row += 1) {
+      this.act(observations.subarray(row * length, (row + 1) * length)).forEach((found, joint) => {
+        const expected = targets[row * this.nominal.length + joint];
+        if (!(Math.abs(found - expected) < 1e-5)) throw new Error(`the network answers ${found} rad, its file says ${expected}`);
+      });
+    }
   }
 
   /** Joint targets [rad] for an observation in physical units. */

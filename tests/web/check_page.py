@@ -46,6 +46,10 @@ PLAY = """(async (scripts) => {
   return played;
 })"""
 
+# The place of the first robot on the screen [pixels].
+ROBOT = """(() => { const { views: [{ trunk, camera }], areas: [[left, , width, height]] } = state.picture;
+    const { x, y } = trunk.clone().project(camera); return [left + (x + 1) / 2 * width, (1 - y) / 2 * height]; })()"""
+
 
 class Quiet(http.server.SimpleHTTPRequestHandler):
     def log_message(self, *_):
@@ -96,12 +100,11 @@ def check_hands(page, pictures):
     print(f"first movement after {time.monotonic() - page.opened:.1f} s, {page.received / 1e6:.2f} MB")
     assert page.received < MOST_BYTES, page.received
     assert page.value("innerWidth >= document.documentElement.scrollWidth"), "the page is wider than the window"
-    page.wait("state.rate && state.pictures")
-    print("  {:.2f} times real time, {:.0f} pictures a second, drawn without a graphics processor".format(*page.value("[state.rate, state.pictures]")))
-    (x, y), width = page.place("#robots")
-    robot = x - width / 4, y
+    page.wait("state.rate && state.picture.rate")
+    print("  {:.2f} times real time, {:.0f} pictures a second, drawn without a graphics processor".format(*page.value("[state.rate, state.picture.rate]")))
     keep(page, pictures, "before")
-    drag = [("mouseMoved", (robot[0] - width / 100 * step, robot[1] - width / 200 * step)) for step in range(1, 11)]
+    robot = page.value(ROBOT)
+    drag = [("mouseMoved", (robot[0] - 10 * step, robot[1] - 5 * step)) for step in range(1, 11)]
     page.mouse(("mousePressed", robot), *drag)
     page.wait("state.robots.every(({ reading }) => reading?.pull?.force_n > 10 && Math.hypot(...(reading.felt_n ?? [0])) > 0.8 * reading.pull.force_n)")
     page.wait("state.robots[0].reading.pull.gives_m_s > state.robots[1].reading.pull.gives_m_s + 0.1")
@@ -111,9 +114,9 @@ def check_hands(page, pictures):
     page.value("document.querySelector('#reset').click()")
     time.sleep(1)  # The camera follows.
     # The flick is made in the page: over the pipe, events may come too late.
-    flick = f"""(() => {{ const canvas = document.querySelector("#robots canvas"); canvas.setPointerCapture = () => 0;
-        for (const [kind, clientX] of [["down", {robot[0]}], ["move", {robot[0] - 60}], ["up", {robot[0] - 60}]])
-          canvas.dispatchEvent(new PointerEvent("pointer" + kind, {{ pointerId: 9, clientX, clientY: {robot[1]}, bubbles: true }})); return 0; }})()"""
+    flick = f"""(() => {{ const canvas = document.querySelector("#robots canvas"), [x, clientY] = {ROBOT}; canvas.setPointerCapture = () => 0;
+        for (const [kind, clientX] of [["down", x], ["move", x - 60], ["up", x - 60]])
+          canvas.dispatchEvent(new PointerEvent("pointer" + kind, {{ pointerId: 9, clientX, clientY, bubbles: true }})); }})()"""
     page.value(flick)
     page.wait("state.robots.every(({ reading }) => reading?.push?.carried_m > 0.01)")
     page.key("KeyW", True)
@@ -131,8 +134,7 @@ def check_fingers(page, pictures):
     page.wait("window.state?.robots[1]?.reading")
     assert page.value("innerWidth >= document.documentElement.scrollWidth"), "the page is wider than the window"
     keep(page, pictures, "telephone, before")
-    (x, y), width = page.place("#robots")
-    robot = x - width / 4, y
+    robot = page.value(ROBOT)
     page.touch("touchStart", robot)
     for step in range(1, 11):
         page.touch("touchMove", (robot[0] - 5 * step, robot[1] - 4 * step))
@@ -150,7 +152,9 @@ def check_fingers(page, pictures):
 def keep(page, pictures, name):
     if pictures:
         pictures.mkdir(parents=True, exist_ok=True)
-        time.sleep(1)
+        # As fine as a graphics processor draws.
+        page.value("(() => { state.picture.count = () => 0; state.picture.fineness = 0; state.picture.resize(); })()")
+        time.sleep(2)
         (pictures / f"{name}.png").write_bytes(base64.b64decode(page.picture()))
 
 

@@ -116,13 +116,6 @@ class Chromium:
         """Presses or releases a key."""
         self.call("Input.dispatchKeyEvent", type="rawKeyDown" if down else "keyUp", code=code, key=code.removeprefix("Key"))
 
-    def place(self, selector):
-        """Returns the middle of an element on the screen and its width [pixels]."""
-        find = f"""(() => {{ const element = document.querySelector({selector!r}); element.scrollIntoView({{ block: "center" }});
-            const {{ x, y, width, height }} = element.getBoundingClientRect(); return [x + width / 2, y + height / 2, width]; }})()"""
-        x, y, width = self.value(find)
-        return (x, y), width
-
     def picture(self):
         """Returns a picture of the page as PNG, in base64."""
         return self.call("Page.captureScreenshot", format="png")["data"]
