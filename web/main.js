@@ -9,7 +9,9 @@ import { Picture } from "./picture.js";
 /** The pairs of robots: a line about them, and policy and commanded compliance [m/s/N] of each. */
 const PAIRS = {
   "soft and stiff": ["One policy twice: the left robot is told to yield, the right one is not.", [["real", 0.05], ["real", null]]],
-  "compliant and baseline": ["The paper's policies: the left one learned to yield, the right one to resist.", [["compliant", null], ["baseline", null]]],
+  "compliant and baseline": [
+    "The paper's policies: the left one learned to yield, the right one to resist.", [["compliant", null], ["baseline", null]],
+  ],
 };
 
 /** The largest push and pull; rates below which the page says so [1, Hz]; the version of the programs. */

@@ -29,7 +29,8 @@ async function load() {
 const policies = {};
 /** A policy by its name, fetched once: its first seed, as the programs take it. */
 const policy = (name) => (policies[name] ??= Promise.all([
-  bytes(`policies/${name}-seed0.safetensors`).then((answer) => answer.arrayBuffer()), text(`policies/${name}-seed0.calibration.json`).then(JSON.parse),
+  bytes(`policies/${name}-seed0.safetensors`).then((answer) => answer.arrayBuffer()),
+  text(`policies/${name}-seed0.calibration.json`).then(JSON.parse),
 ]).then((parts) => new Policy(...parts)));
 
 /** The parameters of a scenario, which are numbers, by name. */
@@ -52,7 +53,8 @@ function looks(model, from) {
     const material = model.geom_matid[geom];
     const rgba = material < 0 ? part(model.geom_rgba, geom, 4) : part(model.mat_rgba, material, 4);
     const [size, position] = [model.geom_size, model.geom_pos].map((all) => part(all, geom, 3));
-    return { isRobot, body: model.geom_bodyid[geom], type: model.geom_type[geom], rgba, size, position, quaternion: part(model.geom_quat, geom, 4) };
+    const [body, type, quaternion] = [model.geom_bodyid[geom], model.geom_type[geom], part(model.geom_quat, geom, 4)];
+    return { isRobot, body, type, rgba, size, position, quaternion };
   });
 }
 

@@ -47,7 +47,9 @@ export class Robot {
     const name = (geom) => mujoco.mj_id2name(alone, mujoco.mjtObj.mjOBJ_GEOM.value, geom);
     const colliding = Array.from({ length: alone.ngeom }, (_, geom) => geom).filter((geom) => alone.geom_contype[geom] > 0).map(name);
     this.model = compile(mujoco, sceneXml(scene, files, colliding, this.dt_s), files.robot);
-    if (scene === "flat") for (const masks of ["geom_contype", "geom_conaffinity", "body_contype", "body_conaffinity"]) this.model[masks].fill(0);
+    // A robot alone touches only what its scene lists.
+    const masks = ["geom_contype", "geom_conaffinity", "body_contype", "body_conaffinity"];
+    if (scene === "flat") masks.forEach((mask) => this.model[mask].fill(0));
     this.data = new mujoco.MjData(this.model);
     this.joints = alone.nu;
     this.stand = [...this.model.numeric_data.slice(0, alone.nq)];
@@ -126,14 +128,18 @@ export class Robot {
     }
     const force = this.pull ? turned(this.pull.inWorld ? heading(0) : ahead, [...this.pull.force, 0]) : [0, 0, 0];
     data.xfrc_applied.set(force, 6 * this.trunk);
+    const began = data.time;
     let power = 0;
     for (let substep = 0; substep < this.substeps; substep += 1) power += this.physicsStep(target) / this.substeps;
     this.time_s += this.period_s;
+    // MuJoCo starts anew where its numbers are no longer finite: that counts as a fall.
+    const failed = !(data.time > began);
+    if (failed) this.restart();
     const felt = this.observer.takeMean(this.period_s);
     this.felt = felt.doubted ? null : felt.force.slice(0, 2);
     const isBeginning = this.isBeginning;
-    const fell = this.fallen_s === null && this.hasFallen();
-    if (fell) Object.assign(this, { fallen_s: this.time_s, falls: this.falls + 1 });
+    const fell = failed || (this.fallen_s === null && this.hasFallen());
+    if (fell) Object.assign(this, { fallen_s: failed ? null : this.time_s, falls: this.falls + 1 });
     const pushed = this.coming;
     Object.assign(this, { coming: null, isBeginning: false });
     return { ...this.frame(), target, power, pushed, force, fell, isBeginning };
@@ -149,9 +155,8 @@ export class Robot {
       Math.min(limits[joint], Math.max(-limits[joint], kp * (angle - angles[joint]) - kd * rates[joint])));
     data.ctrl.set(torques);
     mujoco.mj_step2(model, data);
-    const [positions, velocities] = [data.qpos.slice(0, 7 + this.joints), [...data.qvel.slice(0, 6 + this.joints)]];
-    const reading = { base: this.base(), angles: [...positions.slice(7)], rates: velocities.slice(6), velocity: velocities.slice(0, 6), torques };
-    this.observer.read(reading, this.dt_s);
+    const now = { base: this.base(), angles: [...data.qpos.slice(7, 7 + this.joints)], rates: [...data.qvel.slice(6, 6 + this.joints)] };
+    this.observer.read({ ...now, velocity: [...data.qvel.slice(0, 6)], torques }, this.dt_s);
     mujoco.mj_step1(model, data);
     return torques.reduce((sum, torque, joint) => sum + Math.abs(torque * rates[joint]), 0);
   }
@@ -170,8 +175,8 @@ export class Robot {
   frame() {
     const { qpos, qvel } = this.data;
     const yaw = yawOf(this.base());
-    const velocity = turned(heading(-yaw), [...qvel.slice(0, 3)]);
-    const { low } = this.observer;
-    return { time_s: this.time_s, position: [...qpos.slice(0, 3)], yaw, velocity: [...velocity.slice(0, 2), qvel[5]], command: this.command, felt: low };
+    const [forward, left] = turned(heading(-yaw), [...qvel.slice(0, 3)]);
+    const { command, time_s, observer } = this;
+    return { time_s, position: [...qpos.slice(0, 3)], yaw, velocity: [forward, left, qvel[5]], command, felt: observer.low };
   }
 }

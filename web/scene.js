@@ -5,8 +5,8 @@ const COLOURS = ["0.90 0.62 0.00 1", "0.34 0.71 0.91 1", "0.00 0.62 0.45 1", "0.
 const WOOD = 'density="650" priority="1" friction="0.5 0.005 0.0001"';
 const WOODS = ["0.76 0.57 0.36 1", "0.66 0.47 0.28 1", "0.82 0.66 0.46 1"];
 
-/** Fields of balls are as wide as in the scenario, and this many rows deep: two of them have to run in real time. */
-const ROWS = 5;
+/** Fields of balls have so many rows, and half the columns of the scenario: two of them have to run in real time. */
+const ROWS = 10;
 
 /** Loose balls, of the parameters in configs/scenarios/ball-pit.yaml. */
 function balls({ balls, mass_kg, radius_m, gap_m, distance_m }) {
