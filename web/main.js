@@ -129,9 +129,10 @@ function read() {
   const titles = robots.map(({ title }) => title);
   if (String(titles) !== named) {
     named = String(titles);
+    const untold = robots.every(({ compliance }) => compliance === null) ? "" : ", not told";
     document.querySelectorAll(".name").forEach((label, index) => {
       const { name, compliance } = robots[index];
-      label.textContent = compliance === null ? name : `${name}, told to yield ${+compliance.toFixed(3)} m/s per newton`;
+      label.textContent = name + (compliance === null ? untold : `, told to yield ${+compliance.toFixed(3)} m/s per newton`);
     });
     showCompliance($("compliance"), robots, (robot, compliance) => send("comply", { robot, compliance }));
   }
