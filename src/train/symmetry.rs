@@ -67,25 +67,22 @@ impl Mirror {
         Ok(Mirror { observation, critic, action: (0..JOINTS).map(action).collect() })
     }
 
-    /// Returns the n samples of a batch and, as samples n to 2 n, their mirror images.
+    /// Writes the n samples of a batch and, as samples n to 2 n, their mirror images.
     ///
     /// Rewards and values do not change in a mirror, and an image is as likely under the mirrored policy as its sample
     /// was under the policy. The means are those of the policy itself, because the learning rate adapts to the policy's
     /// own change, not to its distance from its image.
-    pub fn doubled(&self, batch: &Batch<'_>, policy: &Mlp, threads: usize) -> Samples {
+    pub fn double(&self, batch: &Batch<'_>, policy: &Mlp, threads: usize, doubled: &mut Samples) {
         let policy = &PackedMlp::new(policy);
         let rows = batch.log_probs.len();
         let share = rows.div_ceil(threads.max(1)).max(1);
         let (length, critic_length, width) = (self.observation.len(), self.critic.len().max(1), self.action.len());
-        let doubled = |values: &[f32]| vec![0.0; 2 * values.len()];
-        let mut observations = doubled(batch.observations);
-        let mut critic_observations = doubled(batch.critic_observations);
-        let (mut actions, mut means) = (doubled(batch.actions), doubled(batch.means));
+        let Samples { observations, critic_observations, actions, means, .. } = &mut *doubled;
         std::thread::scope(|scope| {
-            let mut seen = halves(batch.observations, &mut observations, share * length);
-            let mut seen_by_critic = halves(batch.critic_observations, &mut critic_observations, share * critic_length);
-            let mut done = halves(batch.actions, &mut actions, share * width);
-            for (from, to, image) in halves(batch.means, &mut means, share * width) {
+            let mut seen = halves(batch.observations, observations, share * length);
+            let mut seen_by_critic = halves(batch.critic_observations, critic_observations, share * critic_length);
+            let mut done = halves(batch.actions, actions, share * width);
+            for (from, to, image) in halves(batch.means, means, share * width) {
                 let (seen, done, seen_by_critic) = (seen.next(), done.next(), seen_by_critic.next());
                 scope.spawn(move || {
                     to.copy_from_slice(from);
@@ -96,24 +93,19 @@ impl Mirror {
                 });
             }
         });
-        Samples {
-            observations,
-            critic_observations,
-            actions,
-            means,
-            log_std: batch.log_std.to_vec(),
-            log_probs: batch.log_probs.repeat(2),
-            advantages: batch.advantages.repeat(2),
-            returns: batch.returns.repeat(2),
-        }
+        doubled.log_std = batch.log_std.to_vec();
+        doubled.log_probs = batch.log_probs.repeat(2);
+        doubled.advantages = batch.advantages.repeat(2);
+        doubled.returns = batch.returns.repeat(2);
     }
 }
 
 /// Rows, their place in the first half of an array, and that of their images in the second.
 type Halves<'a> = (&'a [f32], &'a mut [f32], &'a mut [f32]);
 
-/// Splits an array of twice the length of `from` into parts of `length` numbers of each half.
-fn halves<'a>(from: &'a [f32], to: &'a mut [f32], length: usize) -> impl Iterator<Item = Halves<'a>> {
+/// Gives an array twice the length of `from`, and splits it into parts of `length` numbers of each half.
+fn halves<'a>(from: &'a [f32], to: &'a mut Vec<f32>, length: usize) -> impl Iterator<Item = Halves<'a>> {
+    to.resize(2 * from.len(), 0.0);
     let (first, second) = to.split_at_mut(from.len());
     let halves = first.chunks_mut(length).zip(second.chunks_mut(length));
     from.chunks(length).zip(halves).map(|(from, (first, second))| (from, first, second))
@@ -213,8 +205,7 @@ mod tests {
     }
 
     fn image(sources: &[(usize, f32)], rows: &[f32]) -> Vec<f32> {
-        let mut both = vec![0.0; 2 * rows.len()];
-        reflect(sources, halves(rows, &mut both, rows.len()).next()).to_vec()
+        reflect(sources, halves(rows, &mut Vec::new(), rows.len()).next()).to_vec()
     }
 
     #[test]
@@ -261,7 +252,11 @@ mod tests {
             advantages: &[4.0, 5.0, 6.0],
             returns: &[7.0, 8.0, 9.0],
         };
-        let images = |threads| mirror().doubled(&batch, &network.policy, threads);
+        let images = |threads| {
+            let mut doubled = Samples::default();
+            mirror().double(&batch, &network.policy, threads, &mut doubled);
+            doubled
+        };
         let both = images(1);
         assert_eq!(both.means, images(2).means);
         // Samples 1 and 3 are the image of sample 2, which therefore has their means.

@@ -101,6 +101,8 @@ pub struct Trainer {
     ranks: Arc<dyn Ranks>,
     learner: Box<dyn Learner>,
     environments: Vec<LocomotionEnv>,
+    /// The samples of an iteration with their images, whose memory serves the next one too.
+    doubled: Samples,
     /// Physics faults of the last iteration.
     faults: Vec<EpisodeFault>,
 }
@@ -152,7 +154,17 @@ impl Trainer {
             curriculum,
             environments: Vec::new(),
         };
-        Ok(Trainer { run, shared, mirror, threads, ranks, learner, environments, faults: Vec::new() })
+        Ok(Trainer {
+            run,
+            shared,
+            mirror,
+            threads,
+            ranks,
+            learner,
+            environments,
+            doubled: Samples::default(),
+            faults: Vec::new(),
+        })
     }
 
     /// Resumes from a checkpoint.
@@ -214,7 +226,17 @@ impl Trainer {
         (run.git_revision, run.robot_sha256) = (provenance::git_revision().to_owned(), robot.sha256().to_owned());
         run.mujoco_version = provenance::mujoco_version().to_owned();
         let learner = learner(&run.config.ppo, state, threads, Arc::clone(&ranks))?;
-        Ok(Trainer { run, shared, mirror, threads, ranks, learner, environments, faults: Vec::new() })
+        Ok(Trainer {
+            run,
+            shared,
+            mirror,
+            threads,
+            ranks,
+            learner,
+            environments,
+            doubled: Samples::default(),
+            faults: Vec::new(),
+        })
     }
 
     /// Runs one iteration: collects a batch and updates the networks with it.
@@ -249,8 +271,13 @@ impl Trainer {
         let permutations = self.permutations(rollout.len());
         let part = self.run.samples as f64 / self.run.config.run.samples as f64;
         self.learner.set_entropy_coefficient(entropy_coefficient_after(ppo, part));
-        let images = self.mirror.as_ref().map(|mirror| mirror.doubled(&batch, &network.policy, self.threads));
-        let batch = images.as_ref().map_or(batch, Samples::batch);
+        let batch = match &self.mirror {
+            None => batch,
+            Some(mirror) => {
+                mirror.double(&batch, &network.policy, self.threads, &mut self.doubled);
+                self.doubled.batch()
+            }
+        };
         let statistics = match self.learner.update(&batch, &permutations) {
             Ok(statistics) => statistics,
             Err(fault) => {
