@@ -96,8 +96,7 @@ pub fn record(recorder: &mut Recorder, played: &RobotStep) -> Result<(), RecordE
     if played.is_beginning {
         recorder.begin_again(played.robot)?;
     }
-    recorder.frame(played.robot, frame)?;
-    played.events.iter().try_for_each(|event| recorder.event(played.robot, event))
+    recorder.step(played.robot, Some(frame), &played.events)
 }
 
 /// Replays a session in real time on pages and viewers, and pauses at its end. The driving page can pause, slow down and start

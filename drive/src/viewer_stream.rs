@@ -11,7 +11,7 @@ use supple::mujoco::Model;
 use supple::scenario::session::LiveSession;
 use supple::scenario::trace::{Event, Frame};
 use supple::sim::Scene;
-use supple_record::{BLUE, LiveSink, ORANGE, RecordError, Recorder, RobotView, Sink};
+use supple_record::{LiveSink, RecordError, Recorder, RobotView, Sink};
 use tokio::runtime::Handle;
 use tokio::sync::{mpsc, watch};
 
@@ -73,17 +73,8 @@ impl Cast {
 
     fn with_views<T>(&self, open: impl FnOnce(&[RobotView<'_>]) -> Result<T, RecordError>) -> Result<T, RecordError> {
         let models = self.scenes.iter().map(Scene::compile_visual).collect::<supple::mujoco::Result<Vec<Model>>>()?;
-        let tints = if self.names.len() > 1 { vec![Some(BLUE), Some(ORANGE)] } else { vec![None] };
-        let parts = self.names.iter().zip(&self.scenes).zip(models.iter().zip(tints));
-        let views: Vec<RobotView<'_>> = parts
-            .map(|((name, scene), (model, tint))| RobotView {
-                name,
-                model,
-                ground: &scene.ground,
-                tint,
-                estimates: false,
-            })
-            .collect();
+        let parts = self.names.iter().zip(&self.scenes).zip(&models);
+        let views = RobotView::several(parts.map(|((name, scene), model)| (name.as_str(), model, scene)));
         open(&views)
     }
 }

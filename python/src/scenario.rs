@@ -100,7 +100,7 @@ fn recorded(
     script: &Script,
     trace: &Trace,
 ) -> PyResult<()> {
-    crate::recording::write(path, scenario.name(), &policy.name, script, trace).map_err(failed)
+    supple_record::record(path, scenario.name(), &policy.name, &script.scene, trace).map_err(failed)
 }
 
 #[cfg(not(feature = "record"))]

@@ -72,7 +72,7 @@ impl Robot {
             root,
         };
         robot.log_camera_size(stream)?;
-        if !stream.is_live() {
+        if !stream.is_live {
             plots::log_styles(stream, view.name, colour, is_first)?;
         }
         Ok(robot)
@@ -93,7 +93,7 @@ impl Robot {
             patch.follow(stream, trunk)?;
         }
         self.overlay.frame(stream, frame, trunk)?;
-        if stream.is_live() {
+        if stream.is_live {
             return Ok(());
         }
         plots::log_values(stream, &self.name, self.is_first, self.shown, frame)?;
@@ -118,7 +118,7 @@ impl Robot {
             EventKind::Fall => TextLogLevel::ERROR,
             EventKind::Fault => TextLogLevel::CRITICAL,
         };
-        if !stream.is_live() {
+        if !stream.is_live {
             self.log_text(stream, event.time_s, &event.text, level)?;
         }
         self.overlay.event(stream, event)

@@ -26,7 +26,7 @@ use rerun::{
     AsComponents, EntityPath, MemoryLimit, Quaternion, RecordingStream, RecordingStreamBuilder, RecordingStreamError,
     ServerOptions, Transform3D,
 };
-use supple::util::files::Target;
+use supple::util::files::{FileError, Target};
 
 use super::RecordError;
 use super::style::PATIENCE;
@@ -65,14 +65,19 @@ pub enum LiveSink {
 /// # Errors
 /// The name has another ending or none, or stands for a folder or standard output.
 pub fn check_name(path: &Path) -> Result<(), RecordError> {
-    let create = |source| RecordError::Create { path: path.to_owned(), source };
-    match Target::of(path).map_err(create)? {
-        Target::Output => Err(create(io::Error::other("a recording cannot go to standard output: name a file"))),
-        Target::File(_) if path.extension().is_none_or(|ending| !ending.eq_ignore_ascii_case("rrd")) => {
-            Err(RecordError::Ending { path: path.to_owned() })
-        }
-        Target::File(_) | Target::Stream(_) => Ok(()),
-    }
+    let problem = match Target::of(path).map_err(cannot_create(path))? {
+        Target::Output => "a recording cannot go to standard output: name a file".to_owned(),
+        Target::File(_) if path.extension().is_none_or(|ending| !ending.eq_ignore_ascii_case("rrd")) => format!(
+            "it is for the rerun viewer (no video, no table) and its name ends with .rrd; name it {}",
+            path.with_extension("rrd").display()
+        ),
+        Target::File(_) | Target::Stream(_) => return Ok(()),
+    };
+    Err(cannot_create(path)(problem).into())
+}
+
+fn cannot_create<E: ToString>(path: &Path) -> impl Fn(E) -> FileError + Copy {
+    FileError::of("cannot create the recording", path)
 }
 
 /// Returns the address of the page that [`Sink::Serve`] serves on a port, with the recording open in it.
@@ -102,7 +107,7 @@ pub(super) struct Stream {
     /// The rerun stream; `None` after a failure.
     recording: Option<RecordingStream>,
     /// True for live streams, which keep only the latest value of each entity.
-    is_live: bool,
+    pub(super) is_live: bool,
     /// Data that a live stream has logged and not yet returned by `take`.
     memory: Option<BinaryStreamStorage>,
     file: Option<PathBuf>,
@@ -122,18 +127,14 @@ impl Stream {
         let (recording, file, page, target) = match sink {
             Sink::File(path) => {
                 let target = path.display().to_string();
-                let create = |source| RecordError::Create { path: path.clone(), source };
                 check_name(&path)?;
                 if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
-                    fs::create_dir_all(folder).map_err(create)?;
+                    fs::create_dir_all(folder).map_err(cannot_create(&path))?;
                 }
-                File::create(&path).map_err(create)?;
+                File::create(&path).map_err(cannot_create(&path))?;
                 // Few large chunks: each costs some kilobytes of description.
                 let batches = ChunkBatcherConfig { flush_num_bytes: 8 << 20, ..ChunkBatcherConfig::NEVER };
-                let failed = |error: RecordingStreamError| RecordError::Write {
-                    target: target.clone(),
-                    reason: error.to_string(),
-                };
+                let failed = |error: RecordingStreamError| RecordError::Write(target.clone(), error.to_string());
                 (builder.batcher_config(batches).save(&path).map_err(failed)?, Some(path), None, target)
             }
             Sink::Connect(url) => {
@@ -141,7 +142,7 @@ impl Stream {
                 let recording = builder
                     .batcher_config(LIVE)
                     .connect_grpc_opts(target.clone())
-                    .map_err(|error| RecordError::Viewer { url: target.clone(), reason: error.to_string() })?;
+                    .map_err(|error| RecordError::Viewer(target.clone(), error.to_string()))?;
                 (recording, None, None, target)
             }
             Sink::Serve(port) => {
@@ -149,10 +150,7 @@ impl Stream {
                 (recording, None, Some(page), page_url(port))
             }
         };
-        let frames_per_flush = if file.is_some() { 1200 } else { 120 };
-        let recording = Some(recording);
-        let (is_live, memory) = (false, None);
-        Stream { recording, is_live, memory, file, _page: page, target, frames_per_flush, frames: 0 }.begin()
+        Self::begin(recording, None, file, page, target)
     }
 
     /// Connects to the viewer, or starts to store data in memory.
@@ -164,33 +162,32 @@ impl Stream {
                 let recording = builder(title)?.batcher_config(ChunkBatcherConfig::NEVER).buffered()?;
                 let (sink, memory) = BinaryStreamSink::new(recording.clone());
                 recording.set_sink(Box::new(sink));
-                let (recording, memory, target) = (Some(recording), Some(memory), "in memory".to_owned());
-                let (is_live, file, _page, frames_per_flush) = (true, None, None, 120);
-                Stream { recording, is_live, memory, file, _page, target, frames_per_flush, frames: 0 }.begin()?
+                Self::begin(recording, Some(memory), None, None, "in memory".to_owned())?
             }
         };
         stream.is_live = true;
         Ok(stream)
     }
 
-    fn begin(mut self) -> Result<Self, RecordError> {
-        if let Some(recording) = &self.recording {
-            recording.set_log_time_enabled(false);
-            recording.set_log_tick_enabled(false);
-        }
-        let flushed = self.flush();
-        flushed.map_err(|error| match (error, &self.file) {
-            (RecordError::Write { target, .. }, None) => {
-                RecordError::Viewer { url: target, reason: format!("nothing within {PATIENCE:?}") }
+    fn begin(
+        recording: RecordingStream,
+        memory: Option<BinaryStreamStorage>,
+        file: Option<PathBuf>,
+        page: Option<Page>,
+        target: String,
+    ) -> Result<Self, RecordError> {
+        recording.set_log_time_enabled(false);
+        recording.set_log_tick_enabled(false);
+        let frames_per_flush = if file.is_some() { 1200 } else { 120 };
+        let recording = Some(recording);
+        let mut stream =
+            Stream { recording, is_live: false, memory, file, _page: page, target, frames_per_flush, frames: 0 };
+        match stream.flush() {
+            Err(RecordError::Write(target, _)) if stream.file.is_none() => {
+                Err(RecordError::Viewer(target, format!("nothing within {PATIENCE:?}")))
             }
-            (error, _) => error,
-        })?;
-        Ok(self)
-    }
-
-    /// Returns true for live streams, which keep only the latest value of each entity.
-    pub(super) fn is_live(&self) -> bool {
-        self.is_live
+            flushed => flushed.map(|()| stream),
+        }
     }
 
     /// Takes the data logged since the last call, as a complete `.rrd` file.
@@ -201,7 +198,9 @@ impl Stream {
 
     /// Returns the rerun stream, or the error of a stream that has failed.
     pub(super) fn recording(&self) -> Result<&RecordingStream, RecordError> {
-        self.recording.as_ref().ok_or_else(|| RecordError::Closed { target: self.target.clone() })
+        let problem =
+            || RecordError::Write(self.target.clone(), "it has failed before and takes no more data".to_owned());
+        self.recording.as_ref().ok_or_else(problem)
     }
 
     /// Sets the current time, for all data logged from now on \[s\].
@@ -282,13 +281,13 @@ impl Stream {
 
     fn unwritten(&self, error: &impl std::fmt::Display) -> RecordError {
         let hint = if self.file.is_some() { "; is the disk full?" } else { "" };
-        RecordError::Write { target: self.target.clone(), reason: format!("{error}{hint}") }
+        RecordError::Write(self.target.clone(), format!("{error}{hint}"))
     }
 
     /// Writes all data and closes the file or the connection.
     pub(super) fn finish(mut self) -> Result<(), RecordError> {
         self.flush()?;
-        let failed = |reason: &str| RecordError::Write { target: self.target.clone(), reason: reason.to_owned() };
+        let failed = |reason: &str| RecordError::Write(self.target.clone(), reason.to_owned());
         if let Some(recording) = self.recording.take() {
             let closed = drop_in_background(recording);
             // Without a thread of its own, it was closed at once.
@@ -305,11 +304,11 @@ impl Stream {
 
 /// Serves a recording on `port + 1` and a viewer's page for it on `port`.
 fn serve(builder: RecordingStreamBuilder, port: u16) -> Result<(RecordingStream, Page), RecordError> {
-    let failed = |port, reason: String| RecordError::Serve { port, reason };
-    let data_port = port.checked_add(1).ok_or_else(|| failed(port, "there is no port after it for the data".into()))?;
+    let no_port = || RecordError::Serve(port, "there is no port after it for the data".into());
+    let data_port = port.checked_add(1).ok_or_else(no_port)?;
     // rerun's own servers report a port that is taken to their log, not to us.
     for port in [port, data_port] {
-        drop(TcpListener::bind((LOCAL, port)).map_err(|error| failed(port, error.to_string()))?);
+        drop(TcpListener::bind((LOCAL, port)).map_err(|error| RecordError::Serve(port, error.to_string()))?);
     }
     let options = ServerOptions { memory_limit: MemoryLimit::from_fraction_of_total(0.25), ..ServerOptions::default() };
     let recording = builder.batcher_config(LIVE).serve_grpc_opts(LOCAL, data_port, options)?;
@@ -319,7 +318,7 @@ fn serve(builder: RecordingStreamBuilder, port: u16) -> Result<(RecordingStream,
         open_browser: false,
         ..WebViewerConfig::default()
     };
-    let server = page.host_web_viewer().map_err(|error| failed(port, error.to_string()))?;
+    let server = page.host_web_viewer().map_err(|error| RecordError::Serve(port, error.to_string()))?;
     Ok((recording, Box::new(server)))
 }
 

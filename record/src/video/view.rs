@@ -36,7 +36,7 @@ pub(super) struct View<'a> {
 impl<'a> View<'a> {
     pub(super) fn new(robot: &RobotView<'a>, trace: &'a Trace, size: [usize; 2]) -> Result<Self, VideoError> {
         if trace.frames.is_empty() {
-            return Err(VideoError::Empty { robot: robot.name.to_owned() });
+            return Err(VideoError::Empty(robot.name.to_owned()));
         }
         let mut model = robot.model.try_clone()?;
         for (geom, rgba) in geometry::colours(&model, robot.tint)?.into_iter().enumerate() {
@@ -52,11 +52,8 @@ impl<'a> View<'a> {
         let past = &self.trace.frames[..later.max(1)];
         let frame = &past[past.len() - 1];
         if frame.bodies.len() != self.bodies {
-            return Err(VideoError::Bodies {
-                robot: self.robot.name.to_owned(),
-                found: frame.bodies.len(),
-                expected: self.bodies,
-            });
+            let (robot, found) = (self.robot.name.to_owned(), frame.bodies.len());
+            return Err(VideoError::Bodies { robot, found, expected: self.bodies });
         }
         let poses: Vec<[f32; 7]> = frame.bodies.iter().map(Pose::row).collect();
         let mut marks = self.trail(past);

@@ -116,15 +116,13 @@ pub fn to_json(scenario: &Scenario, seed: u64, sensing: Sensing, outcomes: &[Out
 
 /// Returns a playback as JSON.
 pub fn run(outcome: &Outcome<'_>) -> Value {
-    let metrics: serde_json::Map<String, Value> =
-        outcome.metrics.iter().map(|metric| (metric.name.to_owned(), metric.to_json())).collect();
     let undefined: serde_json::Map<String, Value> =
         outcome.metrics.iter().filter_map(|metric| Some((metric.name.to_owned(), json!(metric.reason?)))).collect();
     json!({
         "policy": outcome.policy,
         "sha256": outcome.sha256,
         "robot": outcome.robot,
-        "metrics": metrics,
+        "metrics": metrics::by_name(&outcome.metrics, Metric::to_json),
         "undefined": undefined,
         "events": outcome.trace.events,
     })
@@ -133,7 +131,7 @@ pub fn run(outcome: &Outcome<'_>) -> Value {
 /// Returns the units of the metrics by name.
 pub fn units(outcomes: &[Outcome<'_>]) -> Value {
     let metrics = outcomes.first().map_or(&[][..], |outcome| &outcome.metrics);
-    metrics.iter().map(|metric| (metric.name.to_owned(), json!(metric.unit))).collect()
+    metrics::by_name(metrics, |metric| json!(metric.unit))
 }
 
 /// A column of the CSV file: its name, and its value in a frame.

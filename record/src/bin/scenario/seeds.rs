@@ -5,7 +5,7 @@ use std::ops::RangeInclusive;
 use serde_json::{Map, Value, json};
 use supple::provenance::{git_revision, mujoco_version};
 use supple::scenario::catalog::Scenario;
-use supple::scenario::metrics::Metric;
+use supple::scenario::metrics::{Metric, by_name};
 
 use crate::output::undefined;
 
@@ -105,8 +105,6 @@ pub fn to_json(scenario: &Scenario, seeds: &RangeInclusive<u64>, sensing: Value,
         first(runs).iter().enumerate().map(of).collect()
     };
     let run = |run: &OfSeeds| json!({ "policy": run.policy, "sha256": run.sha256, "robot": run.robot, "metrics": metrics(run) });
-    let units: Map<String, Value> =
-        first(runs).iter().map(|metric| (metric.name.to_owned(), json!(metric.unit))).collect();
     json!({
         "scenario": scenario.name(),
         "revision": git_revision(),
@@ -114,7 +112,7 @@ pub fn to_json(scenario: &Scenario, seeds: &RangeInclusive<u64>, sensing: Value,
         "seeds": [seeds.start(), seeds.end()],
         "sensing": sensing,
         "parameters": scenario,
-        "units": units,
+        "units": by_name(first(runs), |metric| json!(metric.unit)),
         "runs": runs.iter().map(run).collect::<Vec<_>>(),
     })
 }
