@@ -3,24 +3,25 @@
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
+use anyhow::{Context, bail};
 use serde::Serialize;
 use supple::policy::Agent;
 use supple::robot::{JOINTS, Joints, LEGS, of_leg};
 use supple::task::Command;
 use supple::util::terminal;
 
-use super::core::{Bridge, BridgeError, Output};
-use super::log::Log;
+use super::core::Bridge;
+use super::log::{Log, ROWS};
 use super::orders::Order;
 use super::outlet::Outlet;
 use super::phase::{Phase, Wish};
 use super::reading::Reading;
-use super::safety::{Fault, Limits};
-use crate::dds::switcher::{Client, SwitchError};
-use crate::dds::{Arrival, Delivery, Node, NodeError, Place, Publisher, WriterId};
+use super::safety::{Fault, SILENCE_S};
+use crate::dds::switcher::Client;
+use crate::dds::{Arrival, Delivery, Node, Place, Publisher, WriterId};
 use crate::message::{LowCmd, LowState};
 use crate::serve::{COMMANDS, STATES};
 
@@ -44,8 +45,6 @@ const DAMP: Duration = Duration::from_millis(500);
 pub struct Settings {
     /// The place in the network.
     pub place: Place,
-    /// Limits of what is safe.
-    pub limits: Limits,
     /// Delay of the joint targets \[s\]; `None` for that of the policy's training.
     pub latency_s: Option<f64>,
     /// The command at first.
@@ -54,46 +53,8 @@ pub struct Settings {
     pub dry_run: bool,
     /// True to release the robot's own controller first.
     pub release: bool,
-    /// File of the log, and the largest number of rows of each of its two halves.
-    pub log: (PathBuf, u64),
-}
-
-/// The reason why a bridge does not start or stops.
-#[derive(Debug, thiserror::Error)]
-pub enum DriveError {
-    /// The network.
-    #[error(transparent)]
-    Node(#[from] NodeError),
-    /// The policy.
-    #[error(transparent)]
-    Bridge(#[from] BridgeError),
-    /// The robot's own controller.
-    #[error(transparent)]
-    Switch(#[from] SwitchError),
-    /// No state comes.
-    #[error(
-        "no rt/lowstate for {} s on {address}, DDS domain {domain}: is the robot on, the cable in, and the address of this \
-         interface in the robot's network? A Go2 is in domain 0", FIRST_STATE.as_secs()
-    )]
-    NoState {
-        /// The domain.
-        domain: u16,
-        /// The address.
-        address: std::net::Ipv4Addr,
-    },
-    /// Another program commands the motors.
-    #[error(
-        "another program writes rt/lowcmd: two would fight; stop it, or release the robot's own controller (without --no-release)"
-    )]
-    OtherWriter,
-    /// The log.
-    #[error("cannot write the log {}: {source}", path.display())]
-    Log {
-        /// Path of the log.
-        path: PathBuf,
-        /// Reason given by the operating system.
-        source: std::io::Error,
-    },
+    /// File of the log.
+    pub log: PathBuf,
 }
 
 /// The report of a run of the bridge.
@@ -132,8 +93,8 @@ pub fn drive(
     agent: &Agent,
     orders: &Receiver<Order>,
     stop: &AtomicBool,
-) -> Result<Report, DriveError> {
-    let mut bridge = Bridge::new(agent, settings.limits, settings.latency_s)?;
+) -> anyhow::Result<Report> {
+    let mut bridge = Bridge::new(agent, settings.latency_s)?;
     bridge.order(&Order::Command(settings.command), 0.0);
     let node = Node::open(&settings.place)?;
     let (sender, states) = sync_channel::<Arrival<LowState>>(64);
@@ -148,7 +109,11 @@ pub fn drive(
     })?;
     let Ok(first) = states.recv_timeout(FIRST_STATE) else {
         let Place { domain, address, .. } = settings.place;
-        return Err(DriveError::NoState { domain, address });
+        bail!(
+            "no rt/lowstate for {} s on {address}, DDS domain {domain}: is the robot on, the cable in, and the address of this \
+             interface in the robot's network? A Go2 is in domain 0",
+            FIRST_STATE.as_secs()
+        );
     };
     if Reading::is_unsigned(&first.message) {
         terminal::note("note: states have no checksum, as those of unitree_mujoco; a Go2's have one");
@@ -159,33 +124,35 @@ pub fn drive(
             terminal::note(format_args!("released the robot's own controller, '{mode}'"));
         }
     }
-    others.forget();
+    others.any();
     std::thread::sleep(LOOK);
     if others.any() && !settings.dry_run {
-        return Err(DriveError::OtherWriter);
+        bail!(
+            "another program writes rt/lowcmd: two would fight; stop it, or release the robot's own controller (without --no-release)"
+        );
     }
     if stop.load(Ordering::Relaxed) {
         return Ok(Report::default());
     }
+    let limit = Duration::from_secs_f64(SILENCE_S);
     let outlet = if settings.dry_run {
-        Outlet::new(limit(settings), |_| ())
+        Outlet::new(limit, |_| ())
     } else {
         let publisher: Publisher<LowCmd> = node.publish(COMMANDS, LowCmd::TYPE, Delivery::BestEffort)?;
-        others.own(publisher.id());
-        Outlet::new(limit(settings), move |motors| {
+        let _ = others.own.set(publisher.id());
+        Outlet::new(limit, move |motors| {
             // A network that is down is a silence, which both sides notice.
             let _ = publisher.send(LowCmd::of_motors(motors));
         })
     };
-    let (path, rows) = &settings.log;
-    let log = Log::create(path, *rows).map_err(|source| DriveError::Log { path: path.clone(), source })?;
+    let path = &settings.log;
+    let log = Log::create(path, ROWS).with_context(|| format!("cannot write the log {}", path.display()))?;
     let mut drive = Drive {
         bridge,
         outlet,
         others,
         log,
         dry_run: settings.dry_run,
-        silence_ms: 1e3 * settings.limits.silence_s,
         begin: Instant::now(),
         last_sent: None,
         shown: Instant::now(),
@@ -200,33 +167,21 @@ pub fn drive(
     Ok(drive.finish())
 }
 
-fn limit(settings: &Settings) -> Duration {
-    Duration::from_secs_f64(settings.limits.silence_s)
-}
-
 /// Writers of commands other than this one.
 #[derive(Default)]
 struct Others {
-    own: Mutex<Option<WriterId>>,
+    own: OnceLock<WriterId>,
     seen: AtomicBool,
 }
 
 impl Others {
     fn see(&self, writer: WriterId) {
-        let own = *self.own.lock().unwrap_or_else(PoisonError::into_inner);
-        if own != Some(writer) {
+        if self.own.get() != Some(&writer) {
             self.seen.store(true, Ordering::Relaxed);
         }
     }
 
-    fn own(&self, writer: WriterId) {
-        *self.own.lock().unwrap_or_else(PoisonError::into_inner) = Some(writer);
-    }
-
-    fn forget(&self) {
-        self.seen.store(false, Ordering::Relaxed);
-    }
-
+    /// Returns true if one has been seen since the last call.
     fn any(&self) -> bool {
         self.seen.swap(false, Ordering::Relaxed)
     }
@@ -238,8 +193,6 @@ struct Drive<'a> {
     others: Arc<Others>,
     log: Log,
     dry_run: bool,
-    /// Longest time without a command of the policy \[ms\].
-    silence_ms: f64,
     begin: Instant,
     last_sent: Option<Instant>,
     shown: Instant,
@@ -283,14 +236,14 @@ impl Drive<'_> {
             self.step(states);
             for note in self.bridge.notes() {
                 terminal::note(format_args!("{:8.3} s: {note}", self.now_s()));
-                if let Phase::Damped(fault) = self.bridge.phase()
+                if let Phase::Damped(fault) = &self.bridge.phase
                     && note.starts_with("DAMPED")
                 {
                     self.report.faults.push((self.now_s(), fault.to_string()));
                 }
             }
             let Some(since) = quits else { continue };
-            if self.bridge.phase().is_active() {
+            if self.bridge.phase.is_active() {
                 still = None;
                 if since.elapsed() > LIE {
                     self.bridge.order(&Order::Wish(Wish::Damp), self.now_s());
@@ -363,10 +316,10 @@ impl Drive<'_> {
     }
 
     fn send(&mut self) {
-        if !self.outlet.send(&self.output().motors) {
-            if self.bridge.phase().is_active() {
-                self.bridge.fail(Fault::PolicySilence { limit_ms: self.silence_ms });
-            } else if *self.bridge.phase() == Phase::Passive {
+        if !self.outlet.send(&self.bridge.output.motors) {
+            if self.bridge.phase.is_active() {
+                self.bridge.fail(Fault::PolicySilence { limit_ms: 1e3 * SILENCE_S });
+            } else if self.bridge.phase == Phase::Passive {
                 // It damps anyway: nothing to clear.
                 self.outlet.reset();
             }
@@ -378,16 +331,12 @@ impl Drive<'_> {
         self.report.commands += 1;
     }
 
-    fn output(&self) -> &Output {
-        self.bridge.output()
-    }
-
     fn log(&mut self) {
         let now_s = self.now_s();
         if let Some(row) = self.bridge.row(now_s) {
-            let had_failed = self.log.has_failed();
-            self.log.add(self.bridge.phase().name(), &row);
-            if self.log.has_failed() && !had_failed {
+            let had_failed = self.log.has_failed;
+            self.log.add(self.bridge.phase.name(), &row);
+            if self.log.has_failed && !had_failed {
                 terminal::note(format_args!(
                     "{now_s:8.3} s: the log cannot be written any more; the robot goes on without"
                 ));
@@ -397,8 +346,8 @@ impl Drive<'_> {
 
     /// Prints what would be sent, and where the joints are.
     fn show(&self) {
-        let output = self.output();
-        let angles: Joints = self.bridge.reading().map_or([0.0; JOINTS], |reading| reading.encoders.angles);
+        let output = &self.bridge.output;
+        let angles: Joints = self.bridge.reading.as_ref().map_or([0.0; JOINTS], |reading| reading.encoders.angles);
         let legs = |joints: &Joints| -> String {
             let leg = |leg: usize| {
                 let [hip, thigh, calf] = of_leg(joints, leg);
@@ -408,11 +357,11 @@ impl Drive<'_> {
         };
         let motor = &output.motors[0];
         let wanted =
-            if self.bridge.phase().is_active() { format!("; wanted:{}", legs(&output.targets)) } else { String::new() };
+            if self.bridge.phase.is_active() { format!("; wanted:{}", legs(&output.targets)) } else { String::new() };
         terminal::note(format_args!(
             "{:8.3} s: dry run, {}: kp {}, kd {}; joints (rad):{}{wanted}",
             self.now_s(),
-            self.bridge.phase().name(),
+            self.bridge.phase.name(),
             motor.kp,
             motor.kd,
             legs(&angles),
@@ -478,7 +427,7 @@ mod tests {
     #[test]
     fn own_commands_are_not_those_of_another_writer() {
         let others = Others::default();
-        others.own(WriterId::of_bytes([1; 16]));
+        others.own.set(WriterId::of_bytes([1; 16])).unwrap();
         others.see(WriterId::of_bytes([1; 16]));
         assert!(!others.any());
         others.see(WriterId::of_bytes([2; 16]));

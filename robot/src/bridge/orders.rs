@@ -1,5 +1,6 @@
 /*! What people want: lines of JSON on standard input or from UDP on this machine, keys, and the robot's own remote. */
 
+use anyhow::anyhow;
 use serde::Deserialize;
 use supple::task::Command;
 use supple::util::terminal::echo;
@@ -18,16 +19,6 @@ pub enum Order {
     Change([f64; 3]),
     /// The end of the program, after lying down.
     Quit,
-}
-
-/// The reason why a line is no order.
-#[derive(Debug, thiserror::Error)]
-#[error(
-    "'{line}' is no order ({reason}): expected {{\"do\": \"stand\"}} (or policy, lie, damp, clear) or {{\"forward\": 0.5, \"left\": 0, \"yaw\": 0}}"
-)]
-pub struct OrderError {
-    line: String,
-    reason: String,
 }
 
 #[derive(Deserialize)]
@@ -50,17 +41,26 @@ impl Order {
     ///
     /// # Errors
     /// The line is neither a wish nor a velocity within the range.
-    pub fn from_line(line: &str, range: &FullSticks) -> Result<Self, OrderError> {
+    pub fn from_line(line: &str, range: &FullSticks) -> Result<Self, String> {
         let line = line.trim_start_matches('\u{feff}').trim();
-        let fail = |reason: String| OrderError { line: echo(line).into(), reason: echo(&reason).into() };
-        let value: serde_json::Value = serde_json::from_str(line).map_err(|error| fail(error.to_string()))?;
+        Self::from_json(line, range).map_err(|reason| {
+            format!(
+                "'{}' is no order ({}): expected {{\"do\": \"stand\"}} (or policy, lie, damp, clear) or {{\"forward\": 0.5, \
+                 \"left\": 0, \"yaw\": 0}}",
+                echo(line),
+                echo(&reason.to_string())
+            )
+        })
+    }
+
+    fn from_json(line: &str, range: &FullSticks) -> anyhow::Result<Self> {
+        let value: serde_json::Value = serde_json::from_str(line)?;
         if value.get("do").is_some() {
-            let Do { r#do: wish } = serde_json::from_value(value).map_err(|error| fail(error.to_string()))?;
+            let Do { r#do: wish } = serde_json::from_value(value)?;
             return Ok(Order::Wish(wish));
         }
-        let Velocity { forward, left, yaw, compliance } =
-            serde_json::from_value(value).map_err(|error| fail(error.to_string()))?;
-        range.check([forward, left, yaw]).map_err(|error| fail(format!("{error}; the velocity stays as it was")))?;
+        let Velocity { forward, left, yaw, compliance } = serde_json::from_value(value)?;
+        range.check([forward, left, yaw]).map_err(|error| anyhow!("{error}; the velocity stays as it was"))?;
         Ok(Order::Command(Command { compliance, ..Command::velocity(forward, left, yaw) }))
     }
 
@@ -139,11 +139,9 @@ mod tests {
         }
         // A rounding beyond the range is none.
         assert!(from_line(r#"{"forward": 1.0000000001, "left": -0.5, "yaw": 0}"#).is_ok());
+        let far = "forward is 1e308 m/s, expected -1 to 1 m/s; the velocity stays";
         for (line, problem) in [
-            (
-                r#"{"forward": 1e308, "left": 0, "yaw": 0}"#,
-                "forward is 1e308 m/s, expected -1 to 1 m/s; the velocity stays",
-            ),
+            (r#"{"forward": 1e308, "left": 0, "yaw": 0}"#, far),
             (r#"{"forward": 0, "left": -0.51, "yaw": 0}"#, "left is -0.51 m/s, expected -0.5 to 0.5 m/s"),
             (r#"{"forward": 0, "left": 0, "yaw": 0.6}"#, "yaw is 0.6 rad/s, expected -0.5 to 0.5 rad/s"),
         ] {

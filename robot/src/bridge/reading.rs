@@ -4,7 +4,7 @@ use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use supple::estimate::{EncoderReading, ImuReading};
 use supple::robot::{JOINTS, Joints};
 
-use crate::message::{HEAD, LowState, crc};
+use crate::message::{HEAD, LowState, MotorState, crc};
 use crate::remote::Remote;
 
 /// A state of the robot.
@@ -28,38 +28,17 @@ pub struct Reading {
     pub remote: Remote,
 }
 
-/// The reason why a state is ignored.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-pub enum Ignored {
-    /// The checksum does not fit.
-    #[error("its checksum is {found:08x}, expected {expected:08x}")]
-    Checksum {
-        /// The checksum of the message.
-        found: u32,
-        /// The checksum of its content.
-        expected: u32,
-    },
-    /// The head is another one.
-    #[error("its head is {0:02X?}, expected [FE, EF]")]
-    Head([u8; 2]),
-}
-
 impl Reading {
-    /// Reads a state. A checksum of zero counts as none: `unitree_mujoco` sets none.
-    ///
-    /// # Errors
-    /// Checksum or head do not fit.
-    pub fn new(state: &LowState) -> Result<Self, Ignored> {
+    /// Reads a state, or says why it is to be ignored. A checksum of zero counts as none: `unitree_mujoco` sets none.
+    pub fn new(state: &LowState) -> Result<Self, String> {
         let expected = crc(state);
         if state.crc != expected && !Self::is_unsigned(state) {
-            return Err(Ignored::Checksum { found: state.crc, expected });
+            return Err(format!("its checksum is {:08x}, expected {expected:08x}", state.crc));
         }
         if state.head != HEAD && !Self::is_unsigned(state) {
-            return Err(Ignored::Head(state.head));
+            return Err(format!("its head is {:02X?}, expected [FE, EF]", state.head));
         }
-        let of_motors = |value: fn(&crate::message::MotorState) -> f32| -> Joints {
-            std::array::from_fn(|joint| f64::from(value(&state.motor_state[joint])))
-        };
+        let of_motors = |value: fn(&MotorState) -> f32| state.of_motors(value);
         let imu = &state.imu_state;
         let [w, x, y, z] = imu.quaternion.map(f64::from);
         let hottest = state.motor_state[..JOINTS].iter().enumerate().max_by_key(|(_, motor)| motor.temperature);
@@ -116,7 +95,7 @@ pub(super) mod tests {
         assert!(reading.tilt_rad() < 1e-6);
         let mut flipped = state.clone();
         flipped.motor_state[3].q = f32::from_bits(flipped.motor_state[3].q.to_bits() ^ 1);
-        assert!(matches!(Reading::new(&flipped), Err(Ignored::Checksum { .. })));
+        assert!(Reading::new(&flipped).unwrap_err().contains("checksum"));
         assert!(Reading::new(&LowState { crc: 0, ..flipped }).is_ok());
     }
 }

@@ -5,13 +5,14 @@ settings below. Whatever is sent at a fixed rate is sent best-effort: a reliable
 killed counts as alive, so that one dead `ros2 topic echo` would stop the robot.
 */
 
-pub mod switcher;
+pub(crate) mod switcher;
 mod transport;
 
 use std::net::Ipv4Addr;
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
+use anyhow::{Context, anyhow, bail, ensure};
 use dust_dds::dds_async::configuration::DustDdsConfigurationBuilder;
 use dust_dds::dds_async::data_reader::DataReaderAsync;
 use dust_dds::dds_async::domain_participant_factory::DomainParticipantFactoryAsync;
@@ -35,47 +36,10 @@ use dust_dds::xtypes::type_support::TypeSupport;
 use network_interface::{Addr, NetworkInterface, NetworkInterfaceConfig};
 
 /// The largest DDS domain: the ports of the next one would be beyond 65535.
-pub const MAX_DOMAIN: u16 = 231;
+const MAX_DOMAIN: u16 = 231;
 
-/// The reason why a node cannot be opened or used.
-#[derive(Debug, thiserror::Error)]
-pub enum NodeError {
-    /// There is no such interface.
-    #[error("there is no network interface '{name}' with an IPv4 address; there are: {known}")]
-    Interface {
-        /// The name that was given.
-        name: String,
-        /// The interfaces that have an IPv4 address.
-        known: String,
-    },
-    /// The domain is too large.
-    #[error("DDS domain {found}: expected 0 to {MAX_DOMAIN}; a Go2 is in domain 0")]
-    Domain {
-        /// The domain that was given.
-        found: u16,
-    },
-    /// A port is in use, or the address is not one of this machine.
-    #[error("cannot open the ports of DDS domain {domain} on {address}: {source}")]
-    Ports {
-        /// The domain.
-        domain: u16,
-        /// The address.
-        address: Ipv4Addr,
-        /// Reason given by the operating system.
-        source: std::io::Error,
-    },
-    /// dust_dds refuses.
-    #[error("DDS, {what}: {reason}")]
-    Dds {
-        /// The attempted action.
-        what: &'static str,
-        /// Reason given by dust_dds.
-        reason: String,
-    },
-}
-
-fn dds(what: &'static str) -> impl Fn(DdsError) -> NodeError {
-    move |error| NodeError::Dds { what, reason: format!("{error:?}") }
+fn dds(what: &'static str) -> impl Fn(DdsError) -> anyhow::Error {
+    move |error| anyhow!("DDS, {what}: {error:?}")
 }
 
 /// The place in a network where a node listens and speaks.
@@ -95,10 +59,8 @@ impl Place {
     ///
     /// # Errors
     /// There is no such interface, or the domain is too large.
-    pub fn new(interface: &str, domain: u16, peers: Vec<Ipv4Addr>) -> Result<Self, NodeError> {
-        if domain > MAX_DOMAIN {
-            return Err(NodeError::Domain { found: domain });
-        }
+    pub fn new(interface: &str, domain: u16, peers: Vec<Ipv4Addr>) -> anyhow::Result<Self> {
+        ensure!(domain <= MAX_DOMAIN, "DDS domain {domain}: expected 0 to {MAX_DOMAIN}; a Go2 is in domain 0");
         let interfaces = NetworkInterface::show().unwrap_or_default();
         let ipv4 = |interface: &NetworkInterface| {
             interface.addr.iter().find_map(|addr| if let Addr::V4(addr) = addr { Some(addr.ip) } else { None })
@@ -106,10 +68,10 @@ impl Place {
         let named: Vec<(&str, Ipv4Addr)> =
             interfaces.iter().filter_map(|interface| Some((interface.name.as_str(), ipv4(interface)?))).collect();
         let of_name = || named.iter().find(|(name, _)| *name == interface).map(|(_, address)| *address);
-        let address = interface.parse().ok().or_else(of_name).ok_or_else(|| NodeError::Interface {
-            name: interface.to_owned(),
-            known: named.iter().map(|(name, address)| format!("{name} ({address})")).collect::<Vec<_>>().join(", "),
-        })?;
+        let Some(address) = interface.parse().ok().or_else(of_name) else {
+            let known: Vec<String> = named.iter().map(|(name, address)| format!("{name} ({address})")).collect();
+            bail!("there is no network interface '{interface}' with an IPv4 address; there are: {}", known.join(", "));
+        };
         let peers = if peers.is_empty() && address.is_loopback() { vec![address] } else { peers };
         Ok(Place { domain, address, peers })
     }
@@ -181,7 +143,7 @@ impl<T: TypeSupport> Publisher<T> {
     ///
     /// # Errors
     /// A reliable reader does not answer, or the participant is gone.
-    pub fn send(&self, message: T) -> Result<(), NodeError> {
+    pub fn send(&self, message: T) -> anyhow::Result<()> {
         self.writer.write(message, None).map_err(dds("sending"))
     }
 
@@ -196,9 +158,10 @@ impl Node {
     ///
     /// # Errors
     /// The ports are in use, or the address is not one of this machine.
-    pub fn open(place: &Place) -> Result<Self, NodeError> {
+    pub fn open(place: &Place) -> anyhow::Result<Self> {
         let Place { domain, address, .. } = *place;
-        let udp = transport::Udp::open(place).map_err(|source| NodeError::Ports { domain, address, source })?;
+        let udp = transport::Udp::open(place)
+            .with_context(|| format!("cannot open the ports of DDS domain {domain} on {address}"))?;
         let configuration = DustDdsConfigurationBuilder::new()
             .participant_announcement_interval(std::time::Duration::from_secs(1))
             // With type information, neither Cyclone 0.10 nor 11 match.
@@ -233,7 +196,7 @@ impl Node {
         topic: &str,
         type_name: &str,
         delivery: Delivery,
-    ) -> Result<Publisher<T>, NodeError> {
+    ) -> anyhow::Result<Publisher<T>> {
         let qos = DataWriterQos { reliability: delivery.qos(), ..Default::default() };
         let publish = || {
             let topic = self.topic::<T>(topic, type_name)?;
@@ -253,7 +216,7 @@ impl Node {
         type_name: &str,
         delivery: Delivery,
         take: impl FnMut(Arrival<T>) + Send + 'static,
-    ) -> Result<Subscription<T>, NodeError> {
+    ) -> anyhow::Result<Subscription<T>> {
         let qos = DataReaderQos {
             history: HistoryQosPolicy { kind: HistoryQosPolicyKind::KeepLast(DEPTH) },
             reliability: delivery.qos(),

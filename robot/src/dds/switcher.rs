@@ -6,91 +6,38 @@ use std::sync::mpsc::{Receiver, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
+use anyhow::{anyhow, bail, ensure};
 use dust_dds::infrastructure::type_support::DdsType;
 use serde::Deserialize;
 
-use super::{Delivery, Node, NodeError, Publisher, Subscription};
+use super::{Delivery, Node, Publisher, Subscription};
 
-/// Name and number of a request.
-#[derive(DdsType, Debug, Clone, PartialEq)]
-#[dust_dds(name = "unitree_api::msg::dds_::RequestIdentity_")]
-pub struct Identity {
-    /// Number of the request, which the response repeats.
-    pub id: i64,
-    /// Number of the function.
-    pub api_id: i64,
+/// Defines messages of the service by their DDS names.
+macro_rules! messages {
+    ($($(#[$about:meta])* $name:ident = $dds:literal { $($field:ident: $t:ty),* })*) => {$(
+        $(#[$about])*
+        #[derive(DdsType, Debug, Clone, PartialEq)]
+        #[dust_dds(name = $dds)]
+        pub struct $name { $(pub $field: $t),* }
+    )*};
 }
-
-/// The lease of a client.
-#[derive(DdsType, Debug, Clone, PartialEq)]
-#[dust_dds(name = "unitree_api::msg::dds_::RequestLease_")]
-pub struct Lease {
-    /// Number of the lease; 0 for none.
-    pub id: i64,
-}
-
-/// Handling of a request.
-#[derive(DdsType, Debug, Clone, PartialEq)]
-#[dust_dds(name = "unitree_api::msg::dds_::RequestPolicy_")]
-pub struct RequestPolicy {
-    /// Priority.
-    pub priority: i32,
-    /// True if no response is wanted.
-    pub noreply: bool,
-}
-
-/// Header of a request.
-#[derive(DdsType, Debug, Clone, PartialEq)]
-#[dust_dds(name = "unitree_api::msg::dds_::RequestHeader_")]
-pub struct RequestHeader {
-    /// Name and number.
-    pub identity: Identity,
-    /// Lease of the client.
-    pub lease: Lease,
-    /// Handling.
-    pub policy: RequestPolicy,
-}
-
-/// A request.
-#[derive(DdsType, Debug, Clone, PartialEq)]
-#[dust_dds(name = "unitree_api::msg::dds_::Request_")]
-pub struct Request {
-    /// Header.
-    pub header: RequestHeader,
-    /// Parameters as JSON.
-    pub parameter: String,
-    /// Binary parameters.
-    pub binary: Vec<u8>,
-}
-
-/// Result of a request.
-#[derive(DdsType, Debug, Clone, PartialEq)]
-#[dust_dds(name = "unitree_api::msg::dds_::ResponseStatus_")]
-pub struct Status {
-    /// 0 if it succeeded.
-    pub code: i32,
-}
-
-/// Header of a response.
-#[derive(DdsType, Debug, Clone, PartialEq)]
-#[dust_dds(name = "unitree_api::msg::dds_::ResponseHeader_")]
-pub struct ResponseHeader {
-    /// That of the request.
-    pub identity: Identity,
-    /// Result.
-    pub status: Status,
-}
-
-/// A response.
-#[derive(DdsType, Debug, Clone, PartialEq)]
-#[dust_dds(name = "unitree_api::msg::dds_::Response_")]
-pub struct Response {
-    /// Header.
-    pub header: ResponseHeader,
-    /// Result as JSON.
-    pub data: String,
-    /// Binary result.
-    pub binary: Vec<u8>,
+messages! {
+    /// Number of the request, which the response repeats, and number of the function.
+    Identity = "unitree_api::msg::dds_::RequestIdentity_" { id: i64, api_id: i64 }
+    /// The lease of a client; 0 for none.
+    Lease = "unitree_api::msg::dds_::RequestLease_" { id: i64 }
+    /// Handling of a request; `noreply` if no response is wanted.
+    RequestPolicy = "unitree_api::msg::dds_::RequestPolicy_" { priority: i32, noreply: bool }
+    RequestHeader = "unitree_api::msg::dds_::RequestHeader_" {
+        identity: Identity, lease: Lease, policy: RequestPolicy
+    }
+    /// A request, with parameters as JSON.
+    Request = "unitree_api::msg::dds_::Request_" { header: RequestHeader, parameter: String, binary: Vec<u8> }
+    /// Result of a request: 0 if it succeeded.
+    Status = "unitree_api::msg::dds_::ResponseStatus_" { code: i32 }
+    ResponseHeader = "unitree_api::msg::dds_::ResponseHeader_" { identity: Identity, status: Status }
+    /// A response, with its result as JSON.
+    Response = "unitree_api::msg::dds_::Response_" { header: ResponseHeader, data: String, binary: Vec<u8> }
 }
 
 /// Names of the services that the robot answers: the switcher, and its own controller, which clients ask to lie down first.
@@ -158,10 +105,7 @@ impl Mode {
 
 /// Answers requests until it is dropped; calls `changed` with the mode after each request to the switcher. The robot's own
 /// controller says yes to everything until it is released, and is silent then.
-///
-/// # Errors
-/// The topics cannot be opened.
-pub fn serve(node: &Node, mut changed: impl FnMut(&Mode) + Send + 'static) -> Result<impl Sized, NodeError> {
+pub fn serve(node: &Node, mut changed: impl FnMut(&Mode) + Send + 'static) -> anyhow::Result<impl Sized> {
     let mode = Arc::new(Mutex::new(Mode::default()));
     let asked = Arc::clone(&mode);
     let switcher = answer(node, SWITCHER, move |function, parameter| {
@@ -182,7 +126,7 @@ fn answer(
     node: &Node,
     service: &str,
     mut answer: impl FnMut(i64, &str) -> Option<(i32, String)> + Send + 'static,
-) -> Result<Subscription<Request>, NodeError> {
+) -> anyhow::Result<Subscription<Request>> {
     let [requests, responses] = topics(service);
     let responses: Publisher<Response> = node.publish(&responses, RESPONSE, Delivery::Reliable)?;
     let (sender, arrived) = channel::<Request>();
@@ -202,40 +146,6 @@ fn answer(
     })
 }
 
-/// The reason why the robot's mode could not be asked or released.
-#[derive(Debug, thiserror::Error)]
-pub enum SwitchError {
-    /// The robot does not answer.
-    #[error(
-        "motion_switcher does not answer within {} s: is the robot on, and its firmware 1.0.24 or newer? A simulator without this \
-         service needs --no-release", TIMEOUT.as_secs()
-    )]
-    Silent,
-    /// The robot refuses.
-    #[error("motion_switcher refuses function {function} with code {code}")]
-    Refused {
-        /// Number of the function.
-        function: i64,
-        /// Code of the response.
-        code: i32,
-    },
-    /// The answer is no JSON of a mode.
-    #[error("motion_switcher answers '{found}', expected JSON with a name")]
-    Answer {
-        /// The data of the response.
-        found: String,
-    },
-    /// The robot keeps its mode.
-    #[error("the robot stays in mode '{mode}' after {RELEASES} releases: switch its services off in the vendor's app")]
-    Kept {
-        /// Name of the mode.
-        mode: String,
-    },
-    /// DDS fails.
-    #[error(transparent)]
-    Node(#[from] NodeError),
-}
-
 /// Time that a response may take.
 const TIMEOUT: Duration = Duration::from_secs(3);
 
@@ -252,10 +162,7 @@ pub struct Client {
 
 impl Client {
     /// Opens the topics.
-    ///
-    /// # Errors
-    /// The topics cannot be opened.
-    pub fn new(node: &Node) -> Result<Self, NodeError> {
+    pub fn new(node: &Node) -> anyhow::Result<Self> {
         let (sender, responses) = channel();
         let [requests, replies] = topics(SWITCHER);
         let listening = node.listen::<Response>(&replies, RESPONSE, Delivery::Reliable, move |arrival| {
@@ -265,7 +172,7 @@ impl Client {
         Ok(Client { requests, responses, _listening: listening, id: 0 })
     }
 
-    fn call(&mut self, function: i64) -> Result<String, SwitchError> {
+    fn call(&mut self, function: i64) -> anyhow::Result<String> {
         let deadline = Instant::now() + TIMEOUT;
         // A request that is sent before the service has been discovered is lost: it is sent again.
         while Instant::now() < deadline {
@@ -281,32 +188,27 @@ impl Client {
                 if response.header.identity.api_id != function || response.header.identity.id > self.id {
                     continue;
                 }
-                return match response.header.status.code {
-                    0 => Ok(response.data),
-                    code => Err(SwitchError::Refused { function, code }),
-                };
+                let code = response.header.status.code;
+                ensure!(code == 0, "motion_switcher refuses function {function} with code {code}");
+                return Ok(response.data);
             }
         }
-        Err(SwitchError::Silent)
+        bail!(
+            "motion_switcher does not answer within {} s: is the robot on, and its firmware 1.0.24 or newer? A simulator without this \
+             service needs --no-release",
+            TIMEOUT.as_secs()
+        )
     }
 
     /// Returns the name of the robot's mode; empty if it has been released.
-    ///
-    /// # Errors
-    /// The robot does not answer, or refuses.
-    pub fn mode(&mut self) -> Result<String, SwitchError> {
+    fn mode(&mut self) -> anyhow::Result<String> {
         let data = self.call(CHECK_MODE)?;
-        match serde_json::from_str(&data) {
-            Ok(Name { name }) => Ok(name),
-            Err(_) => Err(SwitchError::Answer { found: data }),
-        }
+        let name = serde_json::from_str(&data).map(|Name { name }| name);
+        name.map_err(|_| anyhow!("motion_switcher answers '{data}', expected JSON with a name"))
     }
 
     /// Releases the robot's own controller, and returns the mode in which the robot was. Nothing is released once `stop` is true.
-    ///
-    /// # Errors
-    /// The robot does not answer, refuses, or keeps its mode.
-    pub fn release(&mut self, stop: &AtomicBool) -> Result<String, SwitchError> {
+    pub fn release(&mut self, stop: &AtomicBool) -> anyhow::Result<String> {
         let first = self.mode()?;
         let mut mode = first.clone();
         for _ in 0..RELEASES {
@@ -319,7 +221,11 @@ impl Client {
                 std::thread::sleep(Duration::from_secs(1));
             }
         }
-        if mode.is_empty() { Ok(first) } else { Err(SwitchError::Kept { mode }) }
+        ensure!(
+            mode.is_empty(),
+            "the robot stays in mode '{mode}' after {RELEASES} releases: switch its services off in the vendor's app"
+        );
+        Ok(first)
     }
 }
 

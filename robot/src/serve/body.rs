@@ -67,7 +67,11 @@ impl Controller for Motors {
 }
 
 /// Returns the configuration in which the simulation's joint target is a torque, at this physics rate \[Hz\].
-pub fn configuration(mut config: Config, physics_hz: u32) -> Config {
+pub fn configuration(mut config: Config, physics_hz: u32) -> anyhow::Result<Config> {
+    anyhow::ensure!(
+        physics_hz.is_multiple_of(STATE_HZ) && (500..=4000).contains(&physics_hz),
+        "physics rate {physics_hz} Hz: expected a multiple of {STATE_HZ} Hz, from 500 to 4000"
+    );
     config.simulation = Simulation {
         physics_rate_hz: physics_hz,
         policy_rate_hz: physics_hz,
@@ -75,7 +79,7 @@ pub fn configuration(mut config: Config, physics_hz: u32) -> Config {
         kd_n_m_s_per_rad: 0.0.into(),
         latency_s: 0.0,
     };
-    config
+    Ok(config)
 }
 
 /// The events of a tick of [`STATE_HZ`].
@@ -93,7 +97,8 @@ pub struct Tick {
 
 /// The simulated robot.
 pub struct Body {
-    playback: Playback<'static>,
+    /// The simulation.
+    pub playback: Playback<'static>,
     commands: Arc<Mutex<[MotorCmd; JOINTS]>>,
     robot: Arc<Robot>,
     exact: ExactSensors,
@@ -114,9 +119,6 @@ pub struct Body {
 impl Body {
     /// Builds the scene of a script; the robot starts standing, and sinks unless it is commanded. `config` is that of
     /// [`configuration`]; without `noise` the sensors are exact.
-    ///
-    /// # Errors
-    /// The scene does not compile, or MuJoCo fails in the starting state.
     pub fn new(script: Script, config: Config, noise: Option<SensorNoise>, seed: u64) -> mujoco::Result<Self> {
         let robot = Arc::clone(&script.scene.robot);
         let conditions = script.conditions;
@@ -166,12 +168,10 @@ impl Body {
         self.last_rates = self.encoders.rates;
         let mut force = Vector3::zeros();
         for _ in 0..self.substeps {
-            let Some(played) = self.playback.next() else {
-                tick.is_over = true;
-                break;
-            };
-            tick.events.extend(played.events);
-            let Some(frame) = played.frame else {
+            let played = self.playback.next();
+            let (events, frame) = played.map_or((Vec::new(), None), |played| (played.events, played.frame));
+            tick.events.extend(events);
+            let Some(frame) = frame else {
                 tick.is_over = true;
                 break;
             };
@@ -299,11 +299,6 @@ impl Body {
         let height_m = self.playback.sim().state().height;
         Sight { now_s, height_m, tilt_rad: up.z.clamp(-1.0, 1.0).acos(), is_commanded }
     }
-
-    /// Returns the simulation.
-    pub fn playback(&mut self) -> &mut Playback<'static> {
-        &mut self.playback
-    }
 }
 
 /// The mean of the last frames.
@@ -354,7 +349,7 @@ mod tests {
     use crate::message::crc;
 
     fn body(noise: Option<SensorNoise>) -> Body {
-        let config = configuration(Config::load("go2").unwrap(), 1000);
+        let config = configuration(Config::load("go2").unwrap(), 1000).unwrap();
         let mut script = Scenario::named("walk", "{duration_s: 3600.0}").unwrap().script(0, &config).unwrap();
         script.after_fall_s = 3600.0;
         Body::new(script, config, noise, 0).unwrap()
@@ -381,11 +376,8 @@ mod tests {
         assert_eq!(crc(&state), state.crc);
         assert_eq!(state.tick, 2000);
         for (joint, angle) in pose.iter().enumerate() {
-            assert!(
-                (f64::from(state.motor_state[joint].q) - angle).abs() < 0.15,
-                "{joint}: {:?}",
-                state.motor_state[joint]
-            );
+            let motor = &state.motor_state[joint];
+            assert!((f64::from(motor.q) - angle).abs() < 0.15, "{joint}: {motor:?}");
         }
         // A knee holds 7 N m with a gain of 60 N m/rad. At rest the accelerometer reads gravity, the feet carry the weight, and the quaternion is upright.
         let [x, y, z] = state.imu_state.accelerometer;

@@ -26,7 +26,8 @@ pub struct Page {
     messages: Receiver<Message>,
     publisher: Publisher,
     robot: ServedRobot,
-    command: Command,
+    /// The velocity that the page's stick asks for.
+    pub command: Command,
     pull: Option<[f64; 2]>,
     /// Events since the last frame.
     events: Vec<Event>,
@@ -95,19 +96,11 @@ impl Page {
     }
 
     /// Serves the page on this machine; port 0 takes any free one. Returns its address.
-    ///
-    /// # Errors
-    /// The port or a thread cannot be had.
     pub fn serve(&self, to_robot: SyncSender<Message>, port: u16) -> anyhow::Result<String> {
         let most = [MOST_PUSH_M_S, MOST_PUSH_N_S, MOST_PULL_N];
         let hello = Hello { policies: Vec::new(), scenes: Vec::new(), most, viewer: true, is_served: true };
         let here = IpAddr::V4(Ipv4Addr::LOCALHOST);
         Ok(server::start(here, port, to_robot, self.publisher.updates(), hello)?.url)
-    }
-
-    /// Returns the velocity that the page's stick asks for.
-    pub fn command(&self) -> Command {
-        self.command
     }
 
     /// Takes the messages that have come, and pushes and pulls the robot as they say. A page that falls silent lets go.
@@ -119,7 +112,7 @@ impl Page {
                     Act::Hand(force) => self.hold(force, body),
                     act @ Act::Push { size, unit } => {
                         let linear = unit.velocity(size, self.robot.scene.robot.mass_kg);
-                        body.playback().push(linear);
+                        body.playback.push(linear);
                         self.publisher.note_input(&self.robot, &Input::Act(act));
                     }
                     // Compliance is the client's, and a robot that is commanded from outside is not put elsewhere.
@@ -138,7 +131,7 @@ impl Page {
     fn hold(&mut self, force: Option<[f64; 2]>, body: &mut Body) {
         if force != self.pull {
             self.pull = force;
-            body.playback().pull(force);
+            body.playback.pull(force);
             self.publisher.note_input(&self.robot, &Input::Act(Act::Hand(force)));
         }
     }
@@ -186,7 +179,7 @@ mod tests {
 
     #[test]
     fn page_pushes_pulls_and_steers_until_it_falls_silent() {
-        let config = configuration(Config::load("go2").unwrap(), 1000);
+        let config = configuration(Config::load("go2").unwrap(), 1000).unwrap();
         let script = Scenario::named("walk", "{}").unwrap().script(0, &config).unwrap();
         let robot = Arc::clone(&script.scene.robot);
         let (mut page, to_robot) = Page::new(&script.scene, 0, Command::velocity(1.0, 0.5, 0.5));
@@ -212,7 +205,7 @@ mod tests {
         ask(Act::Hand(Some([0.0, 500.0])));
         let frame = play(&mut page, 10);
         assert!(frame.velocity_in_heading[1] > 0.3, "{:?}", frame.velocity_in_heading);
-        assert_eq!(page.command(), Command::velocity(1.0, 0.0, -0.25));
+        assert_eq!(page.command, Command::velocity(1.0, 0.0, -0.25));
         let force_n = match frame.mark {
             Some(DisturbanceMark::Rope { force }) => force.iter().map(|part| part * part).sum::<f64>().sqrt(),
             other => panic!("{other:?}"),
@@ -227,6 +220,6 @@ mod tests {
         std::thread::sleep(SILENCE + Duration::from_millis(50));
         let mark = play(&mut page, 20).mark;
         assert!(!matches!(mark, Some(DisturbanceMark::Rope { .. })), "{mark:?}");
-        assert_eq!(page.command(), Command::default());
+        assert_eq!(page.command, Command::default());
     }
 }

@@ -3,22 +3,20 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, channel, sync_channel};
+use std::sync::mpsc::{RecvTimeoutError, SyncSender, TrySendError, sync_channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use serde::Serialize;
 use serde_json::{Value, json};
-use supple::config::{Config, ConfigError};
+use supple::config::Config;
 use supple::estimate::SensorNoise;
-use supple::mujoco;
 use supple::provenance::git_revision;
 use supple::robot::{GRAVITY_M_S2, JointLosses};
 use supple::scenario::Script;
-use supple::scenario::catalog::{Scenario, ScriptError};
-use supple::scenario::metrics::Metric;
+use supple::scenario::catalog::Scenario;
+use supple::scenario::metrics::{Metric, by_name};
 use supple::scenario::trace::{Event, EventKind, Frame, Trace};
-use supple::sim::Ground;
 use supple::task::Command;
 use supple::util::random::{Purpose, stream};
 use supple::util::terminal;
@@ -29,7 +27,7 @@ use super::judge::{Complaint, Judge, Kind};
 use super::link::{Faults, Link};
 use super::operator::Operator;
 use super::page::Page;
-use crate::dds::{Arrival, Delivery, Node, NodeError, Place, switcher};
+use crate::dds::{Arrival, Delivery, Node, Place, switcher};
 use crate::message::{LowCmd, LowState};
 use crate::remote::{FullSticks, Remote};
 
@@ -78,46 +76,6 @@ pub struct Settings {
     pub seconds: Option<f64>,
 }
 
-/// The reason why the robot cannot be served.
-#[derive(Debug, thiserror::Error)]
-pub enum ServeError {
-    /// The network.
-    #[error(transparent)]
-    Node(#[from] NodeError),
-    /// A shipped configuration.
-    #[error(transparent)]
-    Config(#[from] ConfigError),
-    /// A parameter of the scenario.
-    #[error(transparent)]
-    Script(#[from] ScriptError),
-    /// The physics.
-    #[error(transparent)]
-    Physics(#[from] mujoco::Error),
-    /// The recording.
-    #[error(transparent)]
-    Record(#[from] RecordError),
-    /// The page.
-    #[error("{0:#}")]
-    Page(anyhow::Error),
-    /// The physics rate.
-    #[error("physics rate {found} Hz: expected a multiple of {STATE_HZ} Hz, from 500 to 4000")]
-    PhysicsRate {
-        /// The rate that was given \[Hz\].
-        found: u32,
-    },
-}
-
-impl ServeError {
-    /// Checks a physics rate \[Hz\].
-    ///
-    /// # Errors
-    /// It is not a multiple of 500 Hz from 500 to 4000 Hz.
-    pub fn check_physics_rate(found: u32) -> Result<(), Self> {
-        let fits = found.is_multiple_of(STATE_HZ) && (500..=4000).contains(&found);
-        if fits { Ok(()) } else { Err(ServeError::PhysicsRate { found }) }
-    }
-}
-
 /// Keeping of time.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct Pace {
@@ -149,16 +107,13 @@ pub struct Summary {
 impl Summary {
     /// Returns the summary as one JSON object, like that of the program `scenario`.
     pub fn to_json(&self, settings: &Settings) -> Value {
-        let metrics: serde_json::Map<String, Value> =
-            self.metrics.iter().map(|metric| (metric.name.to_owned(), metric.to_json())).collect();
-        let units: serde_json::Map<String, Value> =
-            self.metrics.iter().map(|metric| (metric.name.to_owned(), json!(metric.unit))).collect();
+        let metrics = by_name(&self.metrics, Metric::to_json);
         json!({
             "scenario": settings.scenario.as_ref().map(Scenario::name),
             "revision": git_revision(),
             "seed": settings.seed,
             "parameters": settings.scenario,
-            "units": units,
+            "units": by_name(&self.metrics, |metric| json!(metric.unit)),
             "runs": [{"policy": "client", "robot": "go2", "metrics": metrics, "events": self.events}],
             "client": {"accepted": self.accepted, "complaints": self.complaints},
             "pace": self.pace,
@@ -177,29 +132,27 @@ impl Summary {
             "ticks: {ticks}; more than 2 ms late: {late}; left out: {skipped}; latest: {:.1} ms\n",
             1e3 * worst_s
         ));
-        for Metric { label, value, unit, .. } in &self.metrics {
-            if let Some(value) = value {
-                text.push_str(&format!("  {label:26} {value:.3} {unit}\n"));
-            }
-        }
-        for event in &self.events {
-            text.push_str(&format!("  {:6.2} s  {}\n", event.time_s, event.text));
-        }
-        text
+        text + &told(&self.metrics, &self.events)
     }
+}
+
+/// Returns metrics and events for people.
+pub fn told(metrics: &[Metric], events: &[Event]) -> String {
+    let metric = |Metric { label, value, unit, .. }: &Metric| Some(format!("  {label:26} {:.3} {unit}\n", (*value)?));
+    let event = |event: &Event| format!("  {:6.2} s  {}\n", event.time_s, event.text);
+    metrics.iter().filter_map(metric).chain(events.iter().map(event)).collect()
 }
 
 /// Serves the robot until the scenario ends, the time is over, or `stop` is set.
 ///
 /// # Errors
 /// The network, the scene or the recording fails.
-pub fn play(settings: &Settings, stop: &AtomicBool) -> Result<Summary, ServeError> {
-    ServeError::check_physics_rate(settings.physics_hz)?;
+pub fn play(settings: &Settings, stop: &AtomicBool) -> anyhow::Result<Summary> {
     Served::new(settings)?.play(stop)
 }
 
 /// A robot being served.
-pub struct Served<'a> {
+struct Served<'a> {
     settings: &'a Settings,
     script: Script,
     body: Body,
@@ -219,13 +172,11 @@ const ENDLESS_S: f64 = 1e8;
 
 impl<'a> Served<'a> {
     /// Builds the robot in its scene.
-    fn new(settings: &'a Settings) -> Result<Self, ServeError> {
-        let mut config = configuration(Config::load("go2")?, settings.physics_hz);
+    fn new(settings: &'a Settings) -> anyhow::Result<Self> {
+        let mut config = configuration(Config::load("go2")?, settings.physics_hz)?;
         config.robot.set_losses(settings.joints.into());
-        let mut script = match &settings.scenario {
-            Some(scenario) => scenario.script(settings.seed, &config)?,
-            None => Scenario::Walk(supple::scenario::catalog::defaults("walk")?).script(settings.seed, &config)?,
-        };
+        let plane = Scenario::named("walk", "{}")?;
+        let mut script = settings.scenario.as_ref().unwrap_or(&plane).script(settings.seed, &config)?;
         if settings.scenario.is_none() {
             (script.duration_s, script.after_fall_s) = (ENDLESS_S, ENDLESS_S);
         }
@@ -257,7 +208,7 @@ impl<'a> Served<'a> {
         self.begin.elapsed().as_secs_f64()
     }
 
-    fn play(mut self, stop: &AtomicBool) -> Result<Summary, ServeError> {
+    fn play(mut self, stop: &AtomicBool) -> anyhow::Result<Summary> {
         let node = Node::open(&self.settings.place)?;
         let released = Arc::new(AtomicBool::new(self.settings.released));
         let switched = Arc::clone(&released);
@@ -321,29 +272,29 @@ impl<'a> Served<'a> {
 
     fn take(&mut self, arrival: &Arrival<LowCmd>, released: bool) {
         let now_s = self.now_s();
-        let was_silent = self.judge.is_silent();
+        let was_silent = self.judge.is_silent;
         let complaints = self.judge.take(&arrival.message, arrival.writer, now_s, released);
         complaints.iter().for_each(|complaint| self.complain(complaint, now_s));
-        if was_silent && !self.judge.is_silent() {
+        if was_silent && !self.judge.is_silent {
             self.say(now_s, "commands come");
         }
     }
 
     /// Plays a tick; returns true if the script is over.
-    fn tick(&mut self, now_s: f64) -> Result<bool, ServeError> {
+    fn tick(&mut self, now_s: f64) -> anyhow::Result<bool> {
         if let Some(complaint) = self.judge.wait(now_s) {
             self.complain(&complaint, now_s);
         }
-        self.body.command(self.judge.motors());
+        self.body.command(&self.judge.motors);
         if let Some(page) = &mut self.page {
             page.act(&mut self.body);
             if self.operator.is_none() {
-                self.remote = self.settings.full_sticks.remote(&page.command());
-                self.body.playback().ask(page.command());
+                self.remote = self.settings.full_sticks.remote(&page.command);
+                self.body.playback.ask(page.command);
             }
         }
         if let Some(operator) = &mut self.operator {
-            let (remote, begins) = operator.act(&self.body.sight(now_s, !self.judge.is_silent()));
+            let (remote, begins) = operator.act(&self.body.sight(now_s, !self.judge.is_silent));
             self.remote = remote;
             if begins {
                 self.body.begin();
@@ -392,7 +343,7 @@ impl<'a> Served<'a> {
         }
     }
 
-    fn finish(self, pace: Pace) -> Result<Summary, ServeError> {
+    fn finish(self, pace: Pace) -> anyhow::Result<Summary> {
         if let Some(recording) = self.recording {
             recording.finish()?;
         }
@@ -406,18 +357,18 @@ impl<'a> Served<'a> {
         Ok(Summary {
             metrics,
             events: self.trace.events,
-            complaints: self.judge.counts().clone(),
-            accepted: self.judge.accepted(),
+            complaints: self.judge.counts,
+            accepted: self.judge.accepted,
             pace,
         })
     }
 }
 
 /// Opens the page on a port of this machine.
-fn open_page(settings: &Settings, script: &Script, port: u16) -> Result<Page, ServeError> {
+fn open_page(settings: &Settings, script: &Script, port: u16) -> anyhow::Result<Page> {
     let [forward, left, yaw] = settings.full_sticks.0;
     let (page, to_robot) = Page::new(&script.scene, settings.seed, Command::velocity(forward, left, yaw));
-    let url = page.serve(to_robot, port).map_err(ServeError::Page)?;
+    let url = page.serve(to_robot, port)?;
     terminal::note(format_args!("push and pull the robot at {url}"));
     Ok(page)
 }
@@ -435,23 +386,17 @@ struct Recording {
 const WAITING_FRAMES: usize = 200;
 
 impl Recording {
-    fn start(path: PathBuf, script: &Script) -> Result<Self, ServeError> {
+    fn start(path: PathBuf, script: &Script) -> anyhow::Result<Self> {
         let model = script.scene.compile_visual()?;
-        let ground: Ground = script.scene.ground.clone();
-        let (sender, frames) = sync_channel::<(Option<Frame>, Vec<Event>)>(WAITING_FRAMES);
-        let (opened, open) = channel();
-        let record = move || {
-            let view = RobotView { name: "client", model: &model, ground: &ground, tint: None, estimates: false };
-            let mut recorder = Recorder::new(Sink::File(path), "Go2", &[view])?;
-            let _ = opened.send(());
-            write(&frames, &mut recorder)?;
+        let view = RobotView::new("client", &model, &script.scene);
+        let mut recorder = Recorder::new(Sink::File(path), "Go2", &[view])?;
+        let (sender, steps) = sync_channel::<(Option<Frame>, Vec<Event>)>(WAITING_FRAMES);
+        let thread = std::thread::spawn(move || {
+            for (frame, events) in steps {
+                recorder.step(0, frame.as_ref(), &events)?;
+            }
             recorder.finish()
-        };
-        let thread = std::thread::spawn(record);
-        if open.recv().is_err() {
-            thread.join().unwrap_or(Ok(()))?;
-            unreachable!("a thread that does not open its recording says why");
-        }
+        });
         Ok(Recording { sender, thread, time_s: 0.0, lost: 0 })
     }
 
@@ -475,14 +420,4 @@ impl Recording {
         }
         self.thread.join().unwrap_or(Ok(()))
     }
-}
-
-fn write(frames: &Receiver<(Option<Frame>, Vec<Event>)>, recorder: &mut Recorder) -> Result<(), RecordError> {
-    for (frame, events) in frames {
-        if let Some(frame) = &frame {
-            recorder.frame(0, frame)?;
-        }
-        events.iter().try_for_each(|event| recorder.event(0, event))?;
-    }
-    Ok(())
 }

@@ -5,11 +5,12 @@ use std::path::PathBuf;
 use anyhow::Context;
 use clap::Args;
 use supple::policy::shipped;
-use supple::scenario::metrics::Metric;
+use supple::scenario::metrics::{Metric, by_name};
 use supple::util::terminal;
 use supple::util::yaml;
 use supple_robot::check::{Columns, LogRows, Verdict, check};
 use supple_robot::lockstep::rehearse;
+use supple_robot::serve::told;
 
 /// The command line of `robot check`.
 #[derive(Args, Debug)]
@@ -86,8 +87,7 @@ pub fn run_rehearsal(args: &Rehearse) -> anyhow::Result<()> {
     let scenario = crate::serve::scenario(&args.scenario, &args.set)?;
     let rehearsal = rehearse(&agent, &scenario, args.seed, compliance, args.physics_hz)?;
     if args.json {
-        let metrics: serde_json::Map<String, serde_json::Value> =
-            rehearsal.metrics.iter().map(|metric| (metric.name.to_owned(), metric.to_json())).collect();
+        let metrics = by_name(&rehearsal.metrics, Metric::to_json);
         let object = serde_json::json!({
             "scenario": scenario.name(), "seed": args.seed, "metrics": metrics, "events": rehearsal.events,
             "complaints": rehearsal.complaints, "notes": rehearsal.notes,
@@ -95,13 +95,5 @@ pub fn run_rehearsal(args: &Rehearse) -> anyhow::Result<()> {
         return Ok(terminal::print(format_args!("{object}\n"))?);
     }
     rehearsal.notes.iter().try_for_each(|note| terminal::print(format_args!("  {note}\n")))?;
-    for Metric { label, value, unit, .. } in &rehearsal.metrics {
-        if let Some(value) = value {
-            terminal::print(format_args!("  {label:26} {value:.3} {unit}\n"))?;
-        }
-    }
-    for event in &rehearsal.events {
-        terminal::print(format_args!("  {:6.2} s  {}\n", event.time_s, event.text))?;
-    }
-    Ok(())
+    Ok(terminal::print(told(&rehearsal.metrics, &rehearsal.events))?)
 }

@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use anyhow::Context;
 use clap::{Args, Parser, Subcommand};
 use supple::util::terminal;
-use supple_robot::dds::{NodeError, Place};
+use supple_robot::dds::Place;
 
 /// Bring policies onto a Go2, or be a simulated Go2 for any controller.
 #[derive(Parser, Debug)]
@@ -61,7 +61,7 @@ struct Network {
 }
 
 impl Network {
-    fn place(&self) -> Result<Place, NodeError> {
+    fn place(&self) -> anyhow::Result<Place> {
         Place::new(&self.interface, self.domain, self.peer.clone())
     }
 }

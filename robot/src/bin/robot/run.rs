@@ -12,10 +12,7 @@ use rustix::termios::{LocalModes, OptionalActions, SpecialCodeIndex, Termios, tc
 use supple::policy::shipped;
 use supple::task::Command;
 use supple::util::terminal;
-use supple_robot::bridge::log::ROWS;
-use supple_robot::bridge::orders::{KEYS, Order};
-use supple_robot::bridge::safety::Limits;
-use supple_robot::bridge::{Settings, drive};
+use supple_robot::bridge::{KEYS, Order, Settings, drive};
 use supple_robot::remote::FullSticks;
 
 use crate::{Network, stop_flag};
@@ -66,12 +63,11 @@ pub fn run(args: &Run) -> anyhow::Result<()> {
     range.check([forward, left, yaw]).map_err(|error| anyhow::anyhow!("--velocity: {error}"))?;
     let settings = Settings {
         place: args.network.place()?,
-        limits: Limits::default(),
         latency_s: args.latency_s,
         command: Command { compliance, ..Command::velocity(forward, left, yaw) },
         dry_run: args.dry_run,
         release: !args.no_release,
-        log: (args.log.clone(), ROWS),
+        log: args.log.clone(),
     };
     let stop = stop_flag()?;
     let (sender, orders) = channel();
@@ -203,7 +199,7 @@ impl Drop for Raw {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use supple_robot::bridge::phase::Wish;
+    use supple_robot::bridge::Wish;
 
     const RANGE: FullSticks = FullSticks([1.0, 0.5, 0.5]);
 

@@ -9,8 +9,7 @@ use supple::robot::JointLosses;
 use supple::scenario::catalog::Scenario;
 use supple::util::terminal;
 use supple_robot::remote::FullSticks;
-use supple_robot::serve::link::Faults;
-use supple_robot::serve::{Settings, play};
+use supple_robot::serve::{Faults, Settings, play};
 
 use crate::{Network, stop_flag};
 
@@ -74,10 +73,8 @@ pub struct Serve {
 
 /// Serves until the scenario ends or Ctrl-C.
 pub fn run(args: &Serve) -> anyhow::Result<()> {
-    for (name, found, most) in
-        [("latency-s", args.latency_s, 1.0), ("jitter-s", args.jitter_s, 1.0), ("loss", args.loss, 1.0)]
-    {
-        anyhow::ensure!((0.0..=most).contains(&found), "--{name} is {found}, expected 0 to {most}");
+    for (name, found) in [("latency-s", args.latency_s), ("jitter-s", args.jitter_s), ("loss", args.loss)] {
+        anyhow::ensure!((0.0..=1.0).contains(&found), "--{name} is {found}, expected 0 to 1");
     }
     let [forward, left, yaw] = args.full_sticks[..] else { anyhow::bail!("--full-sticks: expected three numbers") };
     anyhow::ensure!(
