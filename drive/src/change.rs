@@ -6,7 +6,6 @@ folder does not answer, is given up when another one waits.
 
 use std::collections::VecDeque;
 use std::sync::mpsc::SyncSender;
-use std::thread;
 use std::time::{Duration, Instant};
 
 use supple::mujoco;
@@ -15,6 +14,7 @@ use supple::scenario::session::{AgentCache, AgentCacheError, LiveSession, SceneK
 use supple::util::terminal;
 
 use crate::message::{Built, Message, NewPolicy};
+use crate::server::start_thread;
 use crate::watch_run;
 
 /// Time after which pages show that a change is still being built.
@@ -37,14 +37,7 @@ pub enum Change {
     /// Another scene.
     Scene(SceneKind),
     /// Another policy and robot, as in [`Request::Robot`](crate::request::Request::Robot).
-    Robot {
-        /// Index of the robot.
-        index: usize,
-        /// Name, file or run folder of the policy.
-        policy: Option<String>,
-        /// Name or file of the robot.
-        robot: Option<String>,
-    },
+    Robot { index: usize, policy: Option<String>, robot: Option<String> },
     /// A newer policy of a training run.
     Policy(Box<NewPolicy>),
     /// Another set-up.
@@ -114,16 +107,11 @@ impl Builder {
         Builder { waiting: VecDeque::new(), present: None, number: 0, given_up: 0, to_robots, is_shared }
     }
 
-    /// Adds a change.
-    ///
-    /// # Errors
-    /// Too many wait.
+    /// Adds a change, unless too many wait.
     pub fn add(&mut self, change: Change) -> Result<(), String> {
         if self.waiting.len() >= WAITING {
-            return Err(format!(
-                "{} is not loaded, because {WAITING} changes wait: try again in a moment",
-                change.name()
-            ));
+            let name = change.name();
+            return Err(format!("{name} is not loaded, because {WAITING} changes wait: try again in a moment"));
         }
         self.waiting.push_back(change);
         Ok(())
@@ -160,10 +148,7 @@ impl Builder {
         if self.present.is_some() { None } else { self.waiting.pop_front() }
     }
 
-    /// Starts to build a change of a set-up.
-    ///
-    /// # Errors
-    /// No thread can be had, or too many changes do not end.
+    /// Starts to build a change of a set-up, unless too many others do not end.
     pub fn start(&mut self, change: Change, before: &Setup, cache: &AgentCache) -> Result<(), String> {
         let name = change.name();
         if self.given_up >= GIVEN_UP {
@@ -191,8 +176,7 @@ impl Builder {
             // The receiver is gone if the program is ending.
             let _ = to_robots.send(Message::Built { number, result });
         };
-        let started = thread::Builder::new().name("loading".to_owned()).spawn(work);
-        started.map_err(|error| format!("{name} cannot be loaded without a thread: {error}"))?;
+        start_thread("loading", work).map_err(|error| format!("{name} cannot be loaded: {error:#}"))?;
         let (since, before) = (Instant::now(), before.clone());
         self.present = Some(Present { number, name, since, is_announced: false, before });
         Ok(())
@@ -204,13 +188,11 @@ impl Builder {
         number: u64,
         result: Result<Box<Built>, String>,
     ) -> Option<Result<(Box<Built>, Setup), String>> {
-        match self.present.take_if(|present| present.number == number) {
-            Some(present) => Some(result.map(|built| (built, present.before))),
-            None => {
-                self.given_up = self.given_up.saturating_sub(1);
-                None
-            }
-        }
+        let Some(present) = self.present.take_if(|present| present.number == number) else {
+            self.given_up = self.given_up.saturating_sub(1);
+            return None;
+        };
+        Some(result.map(|built| (built, present.before)))
     }
 }
 

@@ -63,7 +63,7 @@ impl Live {
         let watched = Arc::default();
         watch_run::start(Arc::clone(&watched), to_self.clone(), is_shared)?;
         let publisher = Publisher::new(&world);
-        let shown = publisher.updates().shown;
+        let shown = publisher.updates.shown.clone();
         let saver = Saver::start(folder, to_self.clone(), move || shown.borrow().is_behind)?;
         let files = world.setup().robots.iter().map(|seat| watch_run::file_of(&seat.policy)).collect();
         let live = Live {
@@ -85,7 +85,7 @@ impl Live {
 
     /// Returns the channels to pages and viewers.
     pub fn updates(&self) -> Updates {
-        self.publisher.updates()
+        self.publisher.updates.clone()
     }
 
     /// Plays until a [`Message::Stop`] arrives.
@@ -140,7 +140,7 @@ impl Live {
             Heard::Other(Message::Notice(text)) => self.publisher.notice(text),
             Heard::Nothing | Heard::Other(_) => {}
         }
-        if self.publisher.clock.is_paused() {
+        if self.publisher.clock.is_paused {
             self.publisher.publish(&self.world);
         }
         Ok(())
@@ -291,11 +291,9 @@ impl Live {
             let seat = &mut setup.robots[robot];
             (seat.sha256, seat.compliance) = (sha256.clone(), None);
         }
-        for &robot in &robots {
-            // Other rates, gains or latency need a new scene.
-            if self.world.simulation(robot) != Some(&simulation) {
-                return Ok(Some(Change::Setup(setup)));
-            }
+        // Other rates, gains or latency need a new scene.
+        if robots.iter().any(|robot| self.world.simulation(*robot) != Some(&simulation)) {
+            return Ok(Some(Change::Setup(setup)));
         }
         for robot in robots {
             self.input(Input::Renew { robot, sha256: sha256.clone() })?;

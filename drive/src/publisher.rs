@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
+use serde::Serialize;
 use supple::robot::GRAVITY_M_S2;
 use supple::scenario::session::{Act, Input, LiveReadout, LiveSession, RobotStep, SceneKind};
 use supple::scenario::trace::EventKind;
@@ -48,7 +49,7 @@ pub trait Shown {
 }
 
 /// The facts about a robot that pages show beside its measurements.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize)]
 pub struct Facts {
     /// Policy as it was requested: name, file or run folder.
     pub policy: String,
@@ -61,8 +62,10 @@ pub struct Facts {
     /// Number of falls since the last set-up.
     pub falls: u32,
     /// Weight \[N\].
+    #[serde(skip)]
     pub weight_n: f64,
     /// Time between two frames \[s\].
+    #[serde(skip)]
     pub period_s: f64,
 }
 
@@ -114,7 +117,8 @@ pub struct Publisher {
     pub driver: Driver,
     meters: Vec<LiveReadout>,
     shown: Snapshot,
-    updates: Updates,
+    /// The channels to pages and viewers.
+    pub updates: Updates,
     notices: VecDeque<String>,
     noticed: u64,
     /// True if pages and viewers must be redrawn, also while paused.
@@ -139,11 +143,6 @@ impl Publisher {
         publisher.begin(world);
         publisher.publish(world);
         publisher
-    }
-
-    /// Returns the channels to pages and viewers.
-    pub fn updates(&self) -> Updates {
-        self.updates.clone()
     }
 
     /// Returns the robots and scenes that are played.
@@ -241,25 +240,21 @@ impl Publisher {
             RobotStatus {
                 title: facts.title(&self.shown.cast.names[index]),
                 name: self.shown.cast.names[index].clone(),
-                policy: facts.policy,
-                robot: facts.robot,
                 time_s: frame.map_or(0.0, |frame| frame.time_s),
                 position: frame.map_or([0.0; 3], |frame| frame.position),
                 velocity: [forward, left, frame.map_or(0.0, |frame| frame.yaw_rate)],
-                compliance: facts.compliance,
-                reach: facts.reach,
-                falls: facts.falls,
+                facts,
                 reading: self.meters[index].read(),
             }
         });
         let state = State {
             tick: world.tick(),
-            heard: self.driver.count(),
+            heard: self.driver.count,
             rate: self.clock.rate(),
-            speed: self.clock.speed(),
+            speed: self.clock.speed,
             behind: self.clock.is_behind(),
-            paused: self.clock.is_paused(),
-            driver: self.driver.page(),
+            paused: self.clock.is_paused,
+            driver: self.driver.page,
             scene,
             seed,
             range: [range.forward, range.left, range.yaw],

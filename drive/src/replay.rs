@@ -1,13 +1,11 @@
 //! Replays a saved session: same inputs, same code, same bits.
 
 use std::fs::File;
-use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, SyncSender};
-use std::thread;
 
 use anyhow::Context;
-use supple::scenario::session::{Act, Input, ReplayStep, RobotStep, SavedSession, SessionReplay};
+use supple::scenario::session::{Act, Input, RobotStep, SavedSession, SessionReplay};
 use supple::util::terminal;
 use supple_record::{RecordError, Recorder, Sink, check_name};
 
@@ -15,6 +13,7 @@ use crate::driver::Heard;
 use crate::message::Message;
 use crate::publisher::{Due, Publisher};
 use crate::request::Request;
+use crate::server::start_thread;
 use crate::viewer_stream::Cast;
 
 /// The result of a replay.
@@ -32,17 +31,13 @@ pub struct Replayed {
     pub recordings: Vec<PathBuf>,
 }
 
-/// Replays a session as fast as possible, optionally writes recordings, and calls `look` after each step. The first recording
+/// Replays a session as fast as possible, optionally writes recordings, and calls `after_step`. The first recording
 /// may replace a file, those of further set-ups are numbered and new.
 ///
 /// # Errors
 /// A policy or robot is missing or has changed, or a recording cannot be written, is no `.rrd` file or would replace a file that
 /// was not named.
-pub fn play(
-    session: SavedSession,
-    recording: Option<&Path>,
-    mut look: impl FnMut(&SessionReplay, &ReplayStep),
-) -> anyhow::Result<Replayed> {
+pub fn play(session: SavedSession, recording: Option<&Path>, mut after_step: impl FnMut()) -> anyhow::Result<Replayed> {
     if let Some(path) = recording {
         check_name(path)?;
         let set_ups = session.inputs().iter().filter(|(_, input)| matches!(input, Input::Setup(_))).count();
@@ -78,7 +73,7 @@ pub fn play(
                 step.played.iter().try_for_each(|played| record(recorder, played))?;
             }
         }
-        look(&playback, &step);
+        after_step();
     }
     recorder.map_or(Ok(()), Recorder::finish)?;
     replayed.falls = playback.world.falls().collect();
@@ -88,10 +83,7 @@ pub fn play(
 }
 
 /// Records a step.
-///
-/// # Errors
-/// The recording cannot be written, e.g. because the disk is full.
-pub fn record(recorder: &mut Recorder, played: &RobotStep) -> Result<(), RecordError> {
+pub(crate) fn record(recorder: &mut Recorder, played: &RobotStep) -> Result<(), RecordError> {
     let Some(frame) = &played.frame else { return Ok(()) };
     if played.is_beginning {
         recorder.begin_again(played.robot)?;
@@ -129,7 +121,7 @@ pub fn watch(
                 Request::Speed(speed) => publisher.clock.set_speed(speed, tick),
                 Request::Act(Act::Reset) if !is_loading => match rewind(path, to_self.clone()) {
                     Ok(()) => is_loading = true,
-                    Err(error) => publisher.notice(format!("cannot start over without a thread: {error}")),
+                    Err(error) => publisher.notice(format!("cannot start over: {error:#}")),
                 },
                 _ => {}
             },
@@ -155,14 +147,13 @@ pub fn watch(
 }
 
 /// Loads a session again on a thread of its own, which sends it as a [`Message::Rewound`].
-fn rewind(path: &Path, to_self: SyncSender<Message>) -> io::Result<()> {
+fn rewind(path: &Path, to_self: SyncSender<Message>) -> anyhow::Result<()> {
     let path = path.to_owned();
-    let work = move || {
+    start_thread("loading", move || {
         let rewound = begin(&path).map(Box::new).map_err(|error| format!("{error:#}"));
         // The receiver is gone if the program is ending.
         let _ = to_self.send(Message::Rewound(rewound));
-    };
-    thread::Builder::new().name("loading".to_owned()).spawn(work).map(drop)
+    })
 }
 
 /// Loads a session and plays it silently up to its first shown step.

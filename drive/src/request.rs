@@ -5,6 +5,8 @@ use supple::scenario::session::{Act, PushUnit, Reading, SceneKind};
 use supple::task::Command;
 use supple::util::terminal::echo;
 
+use crate::publisher::Facts;
+
 /// Number that identifies a page's connection.
 pub type PageId = u64;
 
@@ -78,12 +80,9 @@ impl Request {
 pub fn bounded(act: Act, range: &Command) -> Act {
     match act {
         Act::Command(Command { forward, left, yaw, .. }) => {
-            let within = |value: f64, most: f64| value.clamp(-most, most);
-            Act::Command(Command::velocity(
-                within(forward, range.forward),
-                within(left, range.left),
-                within(yaw, range.yaw),
-            ))
+            let within = |(value, most): (f64, f64)| value.clamp(-most, most);
+            let [forward, left, yaw] = [(forward, range.forward), (left, range.left), (yaw, range.yaw)].map(within);
+            Act::Command(Command::velocity(forward, left, yaw))
         }
         Act::Push { size, unit } => {
             let most = match unit {
@@ -159,22 +158,15 @@ pub struct RobotStatus {
     pub name: String,
     /// Name of the robot with its commanded compliance, such as `baseline@0.03`.
     pub title: String,
-    /// Policy as it was requested: name, file or run folder.
-    pub policy: String,
-    /// Robot as it was requested: name or file.
-    pub robot: String,
+    /// Policy, robot, compliance and falls.
+    #[serde(flatten)]
+    pub facts: Facts,
     /// Simulated time of the robot \[s\].
     pub time_s: f64,
     /// Position in the world frame \[m\].
     pub position: [f64; 3],
     /// Current velocity in the heading frame: forward [m/s], left [m/s], yaw rate [rad/s].
     pub velocity: [f64; 3],
-    /// Commanded compliance [m/s/N]; null for the policy's own.
-    pub compliance: Option<f64>,
-    /// Range of commanded compliance, and own compliance forward and left [m/s/N]; `None` if the policy is not calibrated.
-    pub reach: Option<([f64; 2], [f64; 2])>,
-    /// Number of falls since the last setup.
-    pub falls: u32,
     /// Present measurements: velocity, power, push and pull; `None` before the first step.
     pub reading: Option<Reading>,
 }

@@ -18,6 +18,7 @@ use supple_record::Sink;
 
 use crate::message::Message;
 use crate::replay;
+use crate::server::start_thread;
 use crate::viewer_stream::Cast;
 
 /// Pause of a recording after each step while the live robots are late.
@@ -98,14 +99,11 @@ pub struct Saver {
 
 impl Saver {
     /// Starts the threads. Saves go into `folder`, and notices `to_robots`; recordings pause while the live robots are late.
-    ///
-    /// # Errors
-    /// A thread cannot be started.
     pub fn start(
         folder: PathBuf,
         to_robots: SyncSender<Message>,
         is_late: impl Fn() -> bool + Send + 'static,
-    ) -> io::Result<Self> {
+    ) -> anyhow::Result<Self> {
         let (to, saves) = sync_channel::<Save>(WAITING);
         let (to_recorder, saved) = sync_channel::<Saved>(WAITING);
         let (end, ended) = channel();
@@ -139,15 +137,12 @@ impl Saver {
                 let _ = to_robots.send(Message::Notice(text));
             }
         };
-        thread::Builder::new().name("saving sessions".to_owned()).spawn(save)?;
-        thread::Builder::new().name("recording".to_owned()).spawn(record)?;
+        start_thread("saving sessions", save)?;
+        start_thread("recording", record)?;
         Ok(Saver { to, unfinished, ended })
     }
 
-    /// Saves a session.
-    ///
-    /// # Errors
-    /// Too many others wait.
+    /// Saves a session, unless too many others wait.
     pub fn save(&self, save: Save) -> Result<(), String> {
         self.to
             .try_send(save)
@@ -173,18 +168,11 @@ impl Saver {
 
 impl Saved {
     fn record(&self, is_late: &impl Fn() -> bool) -> anyhow::Result<()> {
-        let step_aside = || {
-            if is_late() {
-                thread::sleep(STEP_ASIDE)
-            }
-        };
-        match &self.minute {
-            Some(minute) => minute.record(&self.recording),
-            None => {
-                let session = SavedSession::load(&self.session)?;
-                replay::play(session, Some(&self.recording), |_, _| step_aside()).map(drop)
-            }
+        if let Some(minute) = &self.minute {
+            return minute.record(&self.recording);
         }
+        let step_aside = || thread::sleep(if is_late() { STEP_ASIDE } else { Duration::ZERO });
+        replay::play(SavedSession::load(&self.session)?, Some(&self.recording), step_aside).map(drop)
     }
 }
 
@@ -230,7 +218,7 @@ fn write_session(folder: &Path, part: &SessionPart) -> io::Result<(PathBuf, Path
 mod tests {
     use std::sync::mpsc::Sender;
 
-    use supple::scenario::session::Writer;
+    use supple::scenario::session::{AgentCache, Input, SceneKind, Setup, Writer};
 
     use super::*;
 
@@ -246,12 +234,11 @@ mod tests {
     fn recordings_that_wait_at_the_end_leave_no_empty_files() {
         let folder = tempfile::tempdir().unwrap();
         let (saver, messages, _go_on) = busy_saver(folder.path());
-        let mut cache = supple::scenario::session::AgentCache::default();
+        let mut cache = AgentCache::default();
         let robots = vec![cache.find("compliant", None).unwrap()];
-        let scene = supple::scenario::session::SceneKind::Flat;
-        let setup = supple::scenario::session::Setup { scene, seed: 0, robots };
+        let setup = Setup { scene: SceneKind::Flat, seed: 0, robots };
         let mut writer = Writer::new(tempfile::tempfile().unwrap());
-        writer.input(0, &supple::scenario::session::Input::Setup(setup), &cache).unwrap();
+        writer.input(0, &Input::Setup(setup), &cache).unwrap();
         for _ in 0..2 {
             let part = writer.part(None, 40, String::new()).unwrap();
             saver.save(Save { part, minute: None }).unwrap();

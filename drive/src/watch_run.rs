@@ -12,16 +12,14 @@ use supple::scenario::session::{AgentCache, AgentCacheError};
 use supple::util::{files, terminal};
 
 use crate::message::{Message, NewPolicy};
+use crate::server::start_thread;
 
 /// Time between two checks.
 const PERIOD: Duration = Duration::from_millis(500);
 
 /// Starts a thread that reads every watched policy file whenever it changes, until the receiver is dropped. With `is_shared`,
 /// people elsewhere may name files: only the terminal then shows what is wrong with one.
-///
-/// # Errors
-/// The thread cannot be started.
-pub fn start(watched: Arc<Mutex<Vec<PathBuf>>>, to: SyncSender<Message>, is_shared: bool) -> std::io::Result<()> {
+pub fn start(watched: Arc<Mutex<Vec<PathBuf>>>, to: SyncSender<Message>, is_shared: bool) -> anyhow::Result<()> {
     let mut seen: HashMap<PathBuf, SystemTime> = HashMap::new();
     let look = move || {
         loop {
@@ -44,7 +42,7 @@ pub fn start(watched: Arc<Mutex<Vec<PathBuf>>>, to: SyncSender<Message>, is_shar
             }
         }
     };
-    thread::Builder::new().name("watching runs".to_owned()).spawn(look).map(drop)
+    start_thread("watching runs", look)
 }
 
 /// Returns the notice that pages show for a policy that cannot be read.

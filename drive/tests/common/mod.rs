@@ -129,6 +129,13 @@ impl Page {
         self.socket.send(Message::text(request.to_string())).unwrap();
     }
 
+    /// Reads states until one has these values, by their JSON pointers.
+    pub fn wait_for(&mut self, what: &str, values: &[(&str, Value)]) {
+        let is =
+            |state: &Value, (pointer, value): &(&str, Value)| state.pointer(pointer).unwrap_or(&Value::Null) == value;
+        self.wait(what, |state, _| (state.is_object() && values.iter().all(|pair| is(state, pair))).then_some(()));
+    }
+
     /// Reads states and answers until `find` returns something.
     pub fn wait<T>(&mut self, what: &str, mut find: impl FnMut(&Value, &Value) -> Option<T>) -> T {
         let start = Instant::now();
@@ -167,6 +174,14 @@ impl Page {
             texts.iter().filter_map(Value::as_str).find(|text| text.contains(part)).map(ToOwned::to_owned)
         })
     }
+}
+
+/// A running program in a folder of its own, and a page.
+pub fn start(arguments: &[&str]) -> (tempfile::TempDir, Drive, Page) {
+    let folder = tempfile::tempdir().unwrap();
+    let drive = Drive::start(folder.path(), arguments);
+    let page = drive.page();
+    (folder, drive, page)
 }
 
 /// Replays a session with the program, and returns its output.

@@ -100,7 +100,7 @@ impl Page {
         let most = [MOST_PUSH_M_S, MOST_PUSH_N_S, MOST_PULL_N];
         let hello = Hello { policies: Vec::new(), scenes: Vec::new(), most, viewer: true, is_served: true };
         let here = IpAddr::V4(Ipv4Addr::LOCALHOST);
-        Ok(server::start(here, port, to_robot, self.publisher.updates(), hello)?.url)
+        Ok(server::start(here, port, to_robot, self.publisher.updates.clone(), hello)?.url)
     }
 
     /// Takes the messages that have come, and pushes and pulls the robot as they say. A page that falls silent lets go.
@@ -183,7 +183,7 @@ mod tests {
         let script = Scenario::named("walk", "{}").unwrap().script(0, &config).unwrap();
         let robot = Arc::clone(&script.scene.robot);
         let (mut page, to_robot) = Page::new(&script.scene, 0, Command::velocity(1.0, 0.5, 0.5));
-        let updates = page.publisher.updates();
+        let updates = page.publisher.updates.clone();
         let mut body = Body::new(script, config, None, 0).unwrap();
         body.command(&motor::holding(&robot.nominal_pose, &[60.0; JOINTS], &[5.0; JOINTS]));
         let mut play = |page: &mut Page, ticks: usize| {

@@ -49,7 +49,9 @@ fn watch(args: &Args, session: &Path) -> anyhow::Result<()> {
     let publisher = Publisher::new(&playback.world);
     let (to_robots, messages) = sync_channel(QUEUE);
     let to_self = to_robots.clone();
-    serve(args, publisher.updates(), to_robots, || replay::watch(session, playback, publisher, &to_self, &messages))
+    serve(args, publisher.updates.clone(), to_robots, || {
+        replay::watch(session, playback, publisher, &to_self, &messages)
+    })
 }
 
 /// Serves pages and viewers while `play` runs.
@@ -117,7 +119,7 @@ fn hello(args: &Args) -> Hello {
 }
 
 fn replay_headless(session: &Path, recording: Option<&Path>) -> anyhow::Result<()> {
-    let replayed = replay::play(SavedSession::load(session)?, recording, |_, _| ())?;
+    let replayed = replay::play(SavedSession::load(session)?, recording, || ())?;
     let falls: Vec<String> = replayed.falls.iter().map(ToString::to_string).collect();
     let steps = replayed.steps;
     terminal::print(format_args!("{:.2} s shown, {steps} steps, falls: {}\n", replayed.shown_s, falls.join(", ")))?;
