@@ -52,28 +52,23 @@ fn log(store: &RecordingStream, robots: &[&str], shown: Shown, is_live: bool) ->
     store.set_time_sequence("blueprint", 0);
     let mut layout = Layout { store, shown, count: 0 };
     let root = match robots {
-        robots if is_live => layout.live(robots)?,
+        robots if is_live => layout.live(robots)?.1,
         [robot] => layout.single(robot)?,
         robots => layout.comparison(robots)?,
     };
     store.log("viewport", &ViewportBlueprint::new().with_root_container(root).with_auto_views(false))?;
-    let hidden: &[&str] = if is_live {
-        &["blueprint_panel", "selection_panel", "time_panel"]
-    } else {
-        &["blueprint_panel", "selection_panel"]
-    };
-    for panel in hidden {
-        store.log(*panel, &PanelBlueprint::new().with_state(PanelState::Hidden))?;
+    let hidden = PanelBlueprint::new().with_state(PanelState::Hidden);
+    store.log("blueprint_panel", &hidden)?;
+    store.log("selection_panel", &hidden)?;
+    if is_live {
+        return Ok(store.log("time_panel", &hidden)?);
     }
     let time = TimePanelBlueprint::new()
         .with_state(PanelState::Collapsed)
         .with_timeline(TIMELINE)
         .with_loop_mode(LoopMode::All)
         .with_play_state(PlayState::Playing);
-    if !is_live {
-        store.log("time_panel", &time)?;
-    }
-    Ok(())
+    Ok(store.log("time_panel", &time)?)
 }
 
 /// Path of a view or container, and its share of its parent's space.
@@ -96,9 +91,7 @@ impl Layout<'_> {
 
     /// Adds the layout of several robots: side by side, with their plots and events below.
     fn comparison(&mut self, robots: &[&str]) -> Result<RootContainer, RecordError> {
-        let worlds =
-            robots.iter().map(|robot| Ok((self.world(robot)?, 1.0))).collect::<Result<Vec<_>, RecordError>>()?;
-        let above = self.container(ContainerKind::Horizontal, "Robots", &worlds)?.0;
+        let above = self.live(robots)?.0;
         let plots = self.plots(robots, ContainerKind::Horizontal)?;
         let below = [(plots, 0.76), (self.events(robots)?, 0.24)];
         let below = self.container(ContainerKind::Horizontal, "Data", &below)?.0;
@@ -106,10 +99,10 @@ impl Layout<'_> {
     }
 
     /// Adds the layout of a live view: robots side by side, nothing else.
-    fn live(&mut self, robots: &[&str]) -> Result<RootContainer, RecordError> {
+    fn live(&mut self, robots: &[&str]) -> Result<(String, RootContainer), RecordError> {
         let worlds =
             robots.iter().map(|robot| Ok((self.world(robot)?, 1.0))).collect::<Result<Vec<_>, RecordError>>()?;
-        Ok(self.container(ContainerKind::Horizontal, "Robots", &worlds)?.1)
+        self.container(ContainerKind::Horizontal, "Robots", &worlds)
     }
 
     /// Adds the 3D view of a robot, with a camera that follows it.
@@ -162,10 +155,7 @@ impl Layout<'_> {
             .with_corner(Corner2D::LeftTop)
             .with_visible(is_first || matches!(plot.series, Series::Terms));
         let axis = TimeAxis::new().with_link(LinkAxis::LinkToGlobal);
-        let mut values = ScalarAxis::new();
-        if let Some(range) = plot.range {
-            values = values.with_range(range);
-        }
+        let values = plot.range.map_or_else(ScalarAxis::new, |range| ScalarAxis::new().with_range(range));
         let origin = EntityPath::from("plots");
         let properties: [(&str, &dyn AsComponents); 3] =
             [("PlotLegend", &legend), ("TimeAxis", &axis), ("ScalarAxis", &values)];

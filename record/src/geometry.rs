@@ -171,28 +171,21 @@ fn log_solids(stream: &Stream, path: &EntityPath, solids: &[Solid]) -> Result<()
     let lengths = |batch: &[&Solid]| batch.iter().map(|solid| 2.0 * solid.size[1]).collect::<Vec<f32>>();
     let radii = |batch: &[&Solid]| batch.iter().map(|solid| solid.size[0]).collect::<Vec<f32>>();
     macro_rules! log {
-        ($shape:pat, $with_positions:ident, |$batch:ident| $archetype:expr) => {
-            let $batch: Vec<&Solid> = solids.iter().filter(|solid| matches!(solid.shape, $shape)).collect();
-            if !$batch.is_empty() {
-                let archetype = $archetype.$with_positions($batch.iter().map(|solid| solid.position));
-                let archetype = archetype.with_quaternions($batch.iter().map(|solid| solid.quaternion));
-                let archetype = archetype.with_colors($batch.iter().map(|solid| solid.colour));
+        ($shape:pat, $with_positions:ident, $Archetype:ident::$from:ident($($of:ident),*)) => {
+            let batch: Vec<&Solid> = solids.iter().filter(|solid| matches!(solid.shape, $shape)).collect();
+            if !batch.is_empty() {
+                let archetype = $Archetype::$from($($of(&batch)),*);
+                let archetype = archetype.$with_positions(batch.iter().map(|solid| solid.position));
+                let archetype = archetype.with_quaternions(batch.iter().map(|solid| solid.quaternion));
+                let archetype = archetype.with_colors(batch.iter().map(|solid| solid.colour));
                 stream.log_static(path, &archetype.with_fill_mode(FillMode::Solid))?;
             }
         };
     }
-    log!(GeomShape::Box, with_centers, |batch| Boxes3D::from_half_sizes(half_sizes(&batch)));
-    log!(GeomShape::Capsule, with_translations, |batch| Capsules3D::from_lengths_and_radii(
-        lengths(&batch),
-        radii(&batch)
-    ));
-    log!(GeomShape::Cylinder, with_centers, |batch| Cylinders3D::from_lengths_and_radii(
-        lengths(&batch),
-        radii(&batch)
-    ));
-    log!(GeomShape::Sphere | GeomShape::Ellipsoid, with_centers, |batch| Ellipsoids3D::from_half_sizes(half_sizes(
-        &batch
-    )));
+    log!(GeomShape::Box, with_centers, Boxes3D::from_half_sizes(half_sizes));
+    log!(GeomShape::Capsule, with_translations, Capsules3D::from_lengths_and_radii(lengths, radii));
+    log!(GeomShape::Cylinder, with_centers, Cylinders3D::from_lengths_and_radii(lengths, radii));
+    log!(GeomShape::Sphere | GeomShape::Ellipsoid, with_centers, Ellipsoids3D::from_half_sizes(half_sizes));
     Ok(())
 }
 

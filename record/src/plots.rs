@@ -27,16 +27,12 @@ pub(super) struct Plot {
     values: fn(&Frame) -> Vec<f64>,
 }
 
-/// A tab of plots.
+/// A tab of plots: velocity, height and orientation; power, torque and forces; reward and its terms; state estimated from sensors.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Tab {
-    /// Velocity, height and orientation.
     Motion,
-    /// Power, torque and forces.
     Effort,
-    /// Reward and its terms.
     Reward,
-    /// State estimated from sensors.
     Estimate,
 }
 
