@@ -16,7 +16,6 @@ use crate::bridge::log::Row;
 use crate::bridge::phase::Phase;
 use crate::bridge::reading::Reading;
 use crate::bridge::{Bridge, Order};
-use crate::dds::WriterId;
 use crate::message::LowCmd;
 use crate::serve::body::{Body, FRAME_S, STATE_HZ, configuration};
 use crate::serve::judge::Judge;
@@ -78,7 +77,7 @@ pub fn rehearse(
         if let Some(row) = bridge.row(now_s) {
             log.push((bridge.phase.name(), row));
         }
-        judge.take(&LowCmd::of_motors(&bridge.output.motors), WriterId::of_bytes([1; 16]), now_s, true);
+        judge.take(&LowCmd::of_motors(&bridge.output.motors), [1; 16], now_s, true);
         body.command(&judge.motors);
         let played = body.tick();
         if has_begun {

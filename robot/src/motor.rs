@@ -5,7 +5,7 @@ use supple::robot::{JOINTS, Joints};
 use crate::message::{Field, MotorCmd, POS_STOP, SERVO, VEL_STOP};
 
 /// Derivative gain of a robot that sinks to the ground because nothing else is wanted [N·m·s/rad].
-pub const DAMPING_KD: f32 = 3.0;
+const DAMPING_KD: f32 = 3.0;
 
 /// Values from this one on stand for [`POS_STOP`]; in single precision 2.146e9 is not exact.
 const NO_POSITION: f32 = 1e9;

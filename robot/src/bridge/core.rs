@@ -20,7 +20,7 @@ use crate::motor;
 use crate::remote::FullSticks;
 
 /// Time between two commands to the motors \[s\].
-pub const COMMAND_S: f64 = 0.002;
+const COMMAND_S: f64 = 0.002;
 
 /// Largest step of the robot's clock between two readings, also backwards, that is no fault \[ms\].
 const MAX_GAP_MS: u32 = 100;
@@ -452,8 +452,8 @@ mod tests {
     fn silence_of_the_robot_damps_after_100_ms() {
         let mut rig = Rig::to_policy(&AGENT);
         let now_s = 1e-3 * f64::from(rig.tick_ms);
-        assert_ne!(rig.bridge.wait(now_s + 0.09).motors, motor::damping());
-        assert_eq!(rig.bridge.wait(now_s + 0.101).motors, motor::damping());
+        assert_ne!(rig.bridge.wait(now_s + 0.0999).motors, motor::damping());
+        assert_eq!(rig.bridge.wait(now_s + 0.1001).motors, motor::damping());
         assert!(matches!(rig.bridge.phase, Phase::Damped(Fault::Silence { .. })));
     }
 

@@ -22,7 +22,7 @@ use super::reading::Reading;
 use super::safety::{Fault, SILENCE_S};
 use crate::dds::switcher::Client;
 use crate::dds::{Arrival, Delivery, Node, Place, Publisher, WriterId};
-use crate::message::{LowCmd, LowState};
+use crate::message::{LowCmd, LowState, MotorCmd};
 use crate::serve::{COMMANDS, STATES};
 
 /// Time in which the first state has to come.
@@ -157,7 +157,7 @@ pub fn drive(
         last_sent: None,
         shown: Instant::now(),
         report: Report::default(),
-        latencies: Histogram::default(),
+        latencies: Histogram::new(),
         intervals: [0, 0],
         last_tick_ms: None,
     };
@@ -256,15 +256,11 @@ impl Drive<'_> {
 
     /// Waits for a state, or until it is time to send again.
     fn step(&mut self, states: &Receiver<Arrival<LowState>>) {
-        let sent = self.last_sent.unwrap_or(self.begin);
-        let wait = RESEND.saturating_sub(sent.elapsed());
+        let wait = RESEND.saturating_sub(self.last_sent.unwrap_or(self.begin).elapsed());
         match states.recv_timeout(wait) {
             Ok(arrival) => {
-                let mut at = None;
-                for arrival in std::iter::once(arrival).chain(states.try_iter()) {
-                    at = self.take(&arrival).or(at);
-                }
-                if let Some(at) = at {
+                let all = std::iter::once(arrival).chain(states.try_iter());
+                if let Some(at) = all.filter_map(|arrival| self.take(&arrival)).last() {
                     self.send();
                     self.latencies.add(at.elapsed());
                     self.log();
@@ -285,34 +281,27 @@ impl Drive<'_> {
 
     /// Takes a state; returns the time of its arrival if it counts.
     fn take(&mut self, arrival: &Arrival<LowState>) -> Option<Instant> {
-        match Reading::new(&arrival.message) {
-            Ok(reading) => {
-                self.count_lost(reading.tick_ms);
-                self.report.states += 1;
-                let now_s = self.now_s();
-                self.bridge.take(reading, now_s);
-                Some(arrival.at)
+        let ignored = |reason: &String| {
+            self.report.ignored += 1;
+            if self.report.ignored == 1 {
+                terminal::note(format_args!("a state is ignored: {reason}"));
             }
-            Err(reason) => {
-                self.report.ignored += 1;
-                if self.report.ignored == 1 {
-                    terminal::note(format_args!("a state is ignored: {reason}"));
-                }
-                None
-            }
-        }
+        };
+        let reading = Reading::new(&arrival.message).inspect_err(ignored).ok()?;
+        self.count_lost(reading.tick_ms);
+        self.report.states += 1;
+        self.bridge.take(reading, self.begin.elapsed().as_secs_f64());
+        Some(arrival.at)
     }
 
     /// Counts the states that are missing before this one; one that was overtaken on its way counts as missing.
     fn count_lost(&mut self, tick_ms: u32) {
-        let gap_ms = self.last_tick_ms.map_or(0, |last| tick_ms.wrapping_sub(last));
-        let is_overtaken = gap_ms.wrapping_neg() <= 1000;
+        let gap_ms = tick_ms.wrapping_sub(*self.last_tick_ms.get_or_insert(tick_ms));
         if (1..=1000).contains(&gap_ms) {
             self.report.lost += u64::from(gap_ms / 2).saturating_sub(1);
         }
-        if !is_overtaken || self.last_tick_ms.is_none() {
-            self.last_tick_ms = Some(tick_ms);
-        }
+        let is_overtaken = gap_ms.wrapping_neg() <= 1000;
+        self.last_tick_ms = self.last_tick_ms.filter(|_| is_overtaken).or(Some(tick_ms));
     }
 
     fn send(&mut self) {
@@ -333,20 +322,18 @@ impl Drive<'_> {
 
     fn log(&mut self) {
         let now_s = self.now_s();
-        if let Some(row) = self.bridge.row(now_s) {
-            let had_failed = self.log.has_failed;
-            self.log.add(self.bridge.phase.name(), &row);
-            if self.log.has_failed && !had_failed {
-                terminal::note(format_args!(
-                    "{now_s:8.3} s: the log cannot be written any more; the robot goes on without"
-                ));
-            }
+        let Some(row) = self.bridge.row(now_s) else { return };
+        let had_failed = self.log.has_failed;
+        self.log.add(self.bridge.phase.name(), &row);
+        if self.log.has_failed && !had_failed {
+            let words = "the log cannot be written any more; the robot goes on without";
+            terminal::note(format_args!("{now_s:8.3} s: {words}"));
         }
     }
 
     /// Prints what would be sent, and where the joints are.
     fn show(&self) {
-        let output = &self.bridge.output;
+        let (output, phase) = (&self.bridge.output, &self.bridge.phase);
         let angles: Joints = self.bridge.reading.as_ref().map_or([0.0; JOINTS], |reading| reading.encoders.angles);
         let legs = |joints: &Joints| -> String {
             let leg = |leg: usize| {
@@ -355,17 +342,10 @@ impl Drive<'_> {
             };
             (0..LEGS.len()).map(leg).collect()
         };
-        let motor = &output.motors[0];
-        let wanted =
-            if self.bridge.phase.is_active() { format!("; wanted:{}", legs(&output.targets)) } else { String::new() };
-        terminal::note(format_args!(
-            "{:8.3} s: dry run, {}: kp {}, kd {}; joints (rad):{}{wanted}",
-            self.now_s(),
-            self.bridge.phase.name(),
-            motor.kp,
-            motor.kd,
-            legs(&angles),
-        ));
+        let MotorCmd { kp, kd, .. } = output.motors[0];
+        let (now_s, name, joints) = (self.now_s(), phase.name(), legs(&angles));
+        let wanted = if phase.is_active() { format!("; wanted:{}", legs(&output.targets)) } else { String::new() };
+        terminal::note(format_args!("{now_s:8.3} s: dry run, {name}: kp {kp}, kd {kd}; joints (rad):{joints}{wanted}"));
     }
 
     fn finish(mut self) -> Report {
@@ -385,13 +365,11 @@ struct Histogram(Vec<u64>);
 
 const BIN_MS: f64 = 0.01;
 
-impl Default for Histogram {
-    fn default() -> Self {
+impl Histogram {
+    fn new() -> Self {
         Histogram(vec![0; 5001])
     }
-}
 
-impl Histogram {
     fn add(&mut self, duration: Duration) {
         let bin = (1e3 * duration.as_secs_f64() / BIN_MS) as usize;
         let last = self.0.len() - 1;
@@ -416,7 +394,7 @@ mod tests {
 
     #[test]
     fn quantiles_are_those_of_what_was_added() {
-        let mut histogram = Histogram::default();
+        let mut histogram = Histogram::new();
         (1..=100).for_each(|tenth| histogram.add(Duration::from_micros(100 * tenth + 5)));
         assert!((histogram.quantile_ms(0.5) - 5.0).abs() < 0.011);
         assert!((histogram.quantile_ms(0.99) - 9.9).abs() < 0.011);
@@ -427,10 +405,10 @@ mod tests {
     #[test]
     fn own_commands_are_not_those_of_another_writer() {
         let others = Others::default();
-        others.own.set(WriterId::of_bytes([1; 16])).unwrap();
-        others.see(WriterId::of_bytes([1; 16]));
+        others.own.set([1; 16]).unwrap();
+        others.see([1; 16]);
         assert!(!others.any());
-        others.see(WriterId::of_bytes([2; 16]));
+        others.see([2; 16]);
         assert!(others.any() && !others.any());
     }
 }

@@ -213,10 +213,4 @@ mod tests {
         assert!(matches!(with(1, -1.9), Err(Fault::TargetStep { .. })));
         assert!(matches!(with(5, f64::NAN), Err(Fault::NotFinite { .. })));
     }
-
-    #[test]
-    fn silence_is_a_fault_after_100_ms() {
-        assert_eq!(guard().silence(0.0999), Ok(()));
-        assert!(matches!(guard().silence(0.1001), Err(Fault::Silence { .. })));
-    }
 }

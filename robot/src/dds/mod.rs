@@ -21,9 +21,7 @@ use dust_dds::domain::domain_participant_factory::DomainParticipantFactory;
 use dust_dds::infrastructure::error::{DdsError, DdsResult};
 use dust_dds::infrastructure::listener::NO_LISTENER;
 use dust_dds::infrastructure::qos::{DataReaderQos, DataWriterQos, QosKind};
-use dust_dds::infrastructure::qos_policy::{
-    HistoryQosPolicy, HistoryQosPolicyKind, ReliabilityQosPolicy, ReliabilityQosPolicyKind,
-};
+use dust_dds::infrastructure::qos_policy::{HistoryQosPolicy, HistoryQosPolicyKind, ReliabilityQosPolicy};
 use dust_dds::infrastructure::sample_info::{ANY_INSTANCE_STATE, ANY_SAMPLE_STATE, ANY_VIEW_STATE};
 use dust_dds::infrastructure::status::{NO_STATUS, StatusKind};
 use dust_dds::infrastructure::time::{Duration, DurationKind};
@@ -89,33 +87,14 @@ pub struct Arrival<T> {
 }
 
 /// Identity of a writer.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub struct WriterId([u8; 16]);
+pub type WriterId = [u8; 16];
 
-impl WriterId {
-    /// Creates an identity from its bytes.
-    pub const fn of_bytes(bytes: [u8; 16]) -> Self {
-        WriterId(bytes)
-    }
-}
+/// How much is done for a message to arrive: best effort for what is sent at a fixed rate, where a lost message is lost; reliable for
+/// requests and responses, which are repeated.
+pub use dust_dds::infrastructure::qos_policy::ReliabilityQosPolicyKind as Delivery;
 
-/// How much is done for a message to arrive.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Delivery {
-    /// A lost message is lost: for what is sent at a fixed rate.
-    BestEffort,
-    /// A lost message is repeated: for requests and responses.
-    Reliable,
-}
-
-impl Delivery {
-    fn qos(self) -> ReliabilityQosPolicy {
-        let kind = match self {
-            Delivery::BestEffort => ReliabilityQosPolicyKind::BestEffort,
-            Delivery::Reliable => ReliabilityQosPolicyKind::Reliable,
-        };
-        ReliabilityQosPolicy { kind, max_blocking_time: DurationKind::Finite(Duration::new(0, 100_000_000)) }
-    }
+fn reliability(kind: Delivery) -> ReliabilityQosPolicy {
+    ReliabilityQosPolicy { kind, max_blocking_time: DurationKind::Finite(Duration::new(0, 100_000_000)) }
 }
 
 /// Messages kept by a reader until they are taken.
@@ -149,7 +128,7 @@ impl<T: TypeSupport> Publisher<T> {
 
     /// Returns the identity that arrivals of its messages carry.
     pub fn id(&self) -> WriterId {
-        WriterId(self.writer.get_instance_handle().into())
+        self.writer.get_instance_handle().into()
     }
 }
 
@@ -197,7 +176,7 @@ impl Node {
         type_name: &str,
         delivery: Delivery,
     ) -> anyhow::Result<Publisher<T>> {
-        let qos = DataWriterQos { reliability: delivery.qos(), ..Default::default() };
+        let qos = DataWriterQos { reliability: reliability(delivery), ..Default::default() };
         let publish = || {
             let topic = self.topic::<T>(topic, type_name)?;
             let publisher = self.participant.create_publisher(QosKind::Default, NO_LISTENER, NO_STATUS)?;
@@ -219,7 +198,7 @@ impl Node {
     ) -> anyhow::Result<Subscription<T>> {
         let qos = DataReaderQos {
             history: HistoryQosPolicy { kind: HistoryQosPolicyKind::KeepLast(DEPTH) },
-            reliability: delivery.qos(),
+            reliability: reliability(delivery),
             ..Default::default()
         };
         let listen = || {
@@ -243,7 +222,7 @@ impl<T: TypeSupport + Send + Sync + 'static, F: FnMut(Arrival<T>) + Send + 'stat
         let at = Instant::now();
         let samples = reader.take(DEPTH as i32, ANY_SAMPLE_STATE, ANY_VIEW_STATE, ANY_INSTANCE_STATE).await;
         for sample in samples.into_iter().flatten() {
-            let writer = WriterId(sample.sample_info.publication_handle.into());
+            let writer = sample.sample_info.publication_handle.into();
             if let Some(message) = sample.data {
                 (self.take)(Arrival { message, at, writer });
             }

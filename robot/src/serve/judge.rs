@@ -209,10 +209,6 @@ mod tests {
         LowCmd::of_motors(&motor::holding(&same_in_every_leg([0.0, 0.8, -1.5]), &[50.0; 12], &[3.0; 12]))
     }
 
-    fn writer(number: u8) -> WriterId {
-        WriterId::of_bytes([number; 16])
-    }
-
     fn judge() -> Judge {
         Judge::new(supple::robot::Robot::load("go2").unwrap().joint_limits, false)
     }
@@ -225,7 +221,7 @@ mod tests {
     fn valid_command_is_obeyed_without_complaint() {
         let mut judge = judge();
         assert!(judge.is_silent);
-        assert_eq!(judge.take(&command(), writer(1), 1.0, true), []);
+        assert_eq!(judge.take(&command(), [1; 16], 1.0, true), []);
         assert_eq!(judge.motors[1].q, 0.8);
         assert!(!judge.is_silent && judge.accepted == 1);
     }
@@ -244,26 +240,26 @@ mod tests {
         for (kind, break_it) in broken {
             let (mut judge, mut bad) = (judge(), command());
             break_it(&mut bad);
-            assert_eq!(kinds(&judge.take(&bad, writer(1), 0.0, true)), [Kind::Checksum]);
-            let complaints = judge.take(&bad.sealed(), writer(1), 0.0, true);
+            assert_eq!(kinds(&judge.take(&bad, [1; 16], 0.0, true)), [Kind::Checksum]);
+            let complaints = judge.take(&bad.sealed(), [1; 16], 0.0, true);
             assert_eq!(kinds(&complaints), [kind], "{complaints:?}");
             assert!(kind.is_refused() && judge.accepted == 0);
         }
-        assert_eq!(kinds(&judge().take(&command(), writer(1), 0.0, false)), [Kind::NotReleased]);
+        assert_eq!(kinds(&judge().take(&command(), [1; 16], 0.0, false)), [Kind::NotReleased]);
         let headless = LowCmd { head: [0; 2], level_flag: 0, ..command() }.sealed();
         let mut lenient = Judge::new(judge().joint_limits, true);
-        assert_eq!(lenient.take(&headless, writer(1), 0.0, true), []);
+        assert_eq!(lenient.take(&headless, [1; 16], 0.0, true), []);
     }
 
     #[test]
     fn silence_leads_to_damping_until_commands_return() {
         let mut judge = judge();
-        judge.take(&command(), writer(1), 1.0, true);
+        judge.take(&command(), [1; 16], 1.0, true);
         assert_eq!(judge.wait(1.099), None);
         assert_eq!(judge.wait(1.101).map(|complaint| complaint.kind), Some(Kind::Silence));
         assert_eq!((&judge.motors, judge.is_silent), (&motor::damping(), true));
         assert_eq!(judge.wait(1.2), None);
-        judge.take(&command(), writer(1), 1.3, true);
+        judge.take(&command(), [1; 16], 1.3, true);
         assert_eq!(judge.motors[2].q, -1.5);
     }
 
@@ -271,24 +267,24 @@ mod tests {
     fn invalid_commands_do_not_end_a_silence() {
         let (mut judge, mut bad) = (judge(), command());
         bad.motor_cmd[0].q = 0.1; // the checksum is the old one
-        judge.take(&command(), writer(1), 1.0, true);
-        (1..60).for_each(|step| drop(judge.take(&bad, writer(1), 1.0 + 0.002 * f64::from(step), true)));
+        judge.take(&command(), [1; 16], 1.0, true);
+        (1..60).for_each(|step| drop(judge.take(&bad, [1; 16], 1.0 + 0.002 * f64::from(step), true)));
         assert!(judge.wait(1.118).is_some());
     }
 
     #[test]
     fn two_writers_are_told_apart_and_a_new_one_is_not_two() {
         let mut judge = judge();
-        judge.take(&command(), writer(1), 1.000, true);
-        assert_eq!(kinds(&judge.take(&command(), writer(2), 1.002, true)), [Kind::TwoWriters]);
-        assert_eq!(kinds(&judge.take(&command(), writer(2), 1.110, true)), [Kind::Late]);
+        judge.take(&command(), [1; 16], 1.000, true);
+        assert_eq!(kinds(&judge.take(&command(), [2; 16], 1.002, true)), [Kind::TwoWriters]);
+        assert_eq!(kinds(&judge.take(&command(), [2; 16], 1.110, true)), [Kind::Late]);
     }
 
     #[test]
     fn targets_in_degrees_are_obeyed_with_a_complaint() {
         let (mut judge, mut degrees) = (judge(), command());
         degrees.motor_cmd[1].q = 45.8;
-        let complaints = judge.take(&degrees.sealed(), writer(1), 0.0, true);
+        let complaints = judge.take(&degrees.sealed(), [1; 16], 0.0, true);
         assert_eq!(kinds(&complaints), [Kind::JointRange]);
         assert!(complaints[0].text.contains("FR_thigh"), "{complaints:?}");
     }

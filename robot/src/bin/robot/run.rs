@@ -12,7 +12,7 @@ use rustix::termios::{LocalModes, OptionalActions, SpecialCodeIndex, Termios, tc
 use supple::policy::shipped;
 use supple::task::Command;
 use supple::util::terminal;
-use supple_robot::bridge::{KEYS, Order, Settings, drive};
+use supple_robot::bridge::{KEYS, Order, Report, Settings, drive};
 use supple_robot::remote::FullSticks;
 
 use crate::{Network, stop_flag};
@@ -87,27 +87,19 @@ pub fn run(args: &Run) -> anyhow::Result<()> {
     let report = drive(&settings, &agent, &orders, &stop);
     drop(raw);
     let report = report?;
+    let log = args.log.display();
     if args.json {
         terminal::print(format_args!("{}\n", serde_json::to_string(&report)?))?;
     } else {
+        let Report { states, ignored, lost, commands, resent, .. } = report;
+        let [median, p99] = [report.latency_median_ms, report.latency_p99_ms];
         terminal::note(format_args!(
-            "{} states, {} lost, {} ignored; {} commands, {} sent again; state to command: median {:.2} ms, 99 % {:.2} ms; \
-             {:.2} % of intervals within 4 ms; log: {}",
-            report.states,
-            report.lost,
-            report.ignored,
-            report.commands,
-            report.resent,
-            report.latency_median_ms,
-            report.latency_p99_ms,
-            report.intervals_within_4_ms_percent,
-            args.log.display()
+            "{states} states, {lost} lost, {ignored} ignored; {commands} commands, {resent} sent again; state to command: median \
+             {median:.2} ms, 99 % {p99:.2} ms; {:.2} % of intervals within 4 ms; log: {log}",
+            report.intervals_within_4_ms_percent
         ));
     }
-    match report.log_error {
-        Some(error) => anyhow::bail!("cannot write the log {}: {error}", args.log.display()),
-        None => Ok(()),
-    }
+    report.log_error.map_or(Ok(()), |error| Err(anyhow::anyhow!("cannot write the log {log}: {error}")))
 }
 
 /// Reads lines of JSON to their end; returns true if one of them was an order. What is no text is no order.
@@ -155,10 +147,9 @@ fn listen(socket: UdpSocket, sender: Sender<Order>, range: FullSticks) -> anyhow
 }
 
 fn keys(sender: &Sender<Order>) {
-    for key in std::io::stdin().lock().bytes().map_while(Result::ok) {
-        if let Some(order) = Order::from_key(key) {
-            let _ = sender.send(order);
-        }
+    let keys = std::io::stdin().lock().bytes().map_while(Result::ok);
+    for order in keys.filter_map(Order::from_key) {
+        let _ = sender.send(order);
     }
 }
 
