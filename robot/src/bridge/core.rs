@@ -112,8 +112,7 @@ impl<'a> Bridge<'a> {
     /// Returns the row of the log for the last reading and what was sent then.
     pub fn row(&self, now_s: f64) -> Option<Row> {
         let reading = self.reading.as_ref()?;
-        let orientation = reading.world_from_base;
-        let motors = &self.output.motors;
+        let (orientation, motors) = (reading.world_from_base, &self.output.motors);
         Some(Row {
             time_s: now_s,
             tick_s: 1e-3 * f64::from(reading.tick_ms),
@@ -163,14 +162,12 @@ impl<'a> Bridge<'a> {
         let FullSticks([forward, left, yaw]) = self.full_sticks();
         let numbers = [command.forward, command.left, command.yaw];
         if !numbers.into_iter().all(f64::is_finite) {
-            self.notes.push(format!("a command with numbers that are not finite is ignored: {numbers:?}"));
-            return;
+            return self.notes.push(format!("a command with numbers that are not finite is ignored: {numbers:?}"));
         }
         if let Some(compliance) = command.compliance
             && let Err(error) = self.agent.resolve_compliance(Some(compliance), None)
         {
-            self.notes.push(format!("the command is ignored: {error}"));
-            return;
+            return self.notes.push(format!("the command is ignored: {error}"));
         }
         self.command = Command {
             forward: command.forward.clamp(-forward, forward),
@@ -181,20 +178,14 @@ impl<'a> Bridge<'a> {
     }
 
     fn wish(&mut self, wish: Wish, now_s: f64) {
-        let Some(reading) = &self.reading else {
-            self.notes.push("no state of the robot yet".to_owned());
-            return;
-        };
+        let Some(reading) = &self.reading else { return self.notes.push("no state of the robot yet".to_owned()) };
         if self.is_quitting && matches!(wish, Wish::Stand | Wish::Policy) {
-            self.notes.push("not now: the program is about to end".to_owned());
-            return;
+            return self.notes.push("not now: the program is about to end".to_owned());
         }
-        if wish != Wish::Damp
-            && wish != Wish::Lie
+        if !matches!(wish, Wish::Damp | Wish::Lie)
             && let Err(fault) = self.guard.check(reading, 0.0)
         {
-            self.notes.push(format!("not now: {fault}"));
-            return;
+            return self.notes.push(format!("not now: {fault}"));
         }
         match self.phase.wish(wish, &reading.encoders.angles, now_s) {
             Ok(phase) => self.enter(phase),
@@ -223,9 +214,7 @@ impl<'a> Bridge<'a> {
         }
         if phase == Phase::Hold {
             // At rest on its feet: the best moment for estimators to start.
-            if let Err(error) = self.perception.restart() {
-                self.notes.push(error.to_string());
-            }
+            self.notes.extend(self.perception.restart().err().map(|error| error.to_string()));
             self.latency.reset(self.stance);
             (self.acting, self.latency_wait_s, self.targets) = (self.stance, 0.0, self.stance);
         }
@@ -246,11 +235,9 @@ impl<'a> Bridge<'a> {
             None => Ok(COMMAND_S),
             // A robot whose clock stands at zero has none, such as unitree_mujoco: the time of arrival has to do.
             Some((0, 0)) => Ok((now_s - self.last_s).clamp(1e-4, 1e-3 * f64::from(MAX_GAP_MS))),
-            // Twice the same state, or one that was overtaken on its way: nothing new, but a person can always stop the robot.
+            // Twice the same state, or one that was overtaken on its way: nothing new.
             Some((_, gap)) if gap.wrapping_neg() <= MAX_GAP_MS => {
-                if orders.contains(&Order::Wish(Wish::Damp)) {
-                    self.wish(Wish::Damp, now_s);
-                }
+                self.damp_if_asked(&orders, now_s);
                 return self.wait(now_s);
             }
             Some((_, gap)) if gap <= MAX_GAP_MS => Ok(1e-3 * f64::from(gap)),
@@ -277,13 +264,17 @@ impl<'a> Bridge<'a> {
                 self.fail(fault);
                 // Whatever the estimators made of it: they start again with the next sound reading.
                 self.perception_is_stale = true;
-                // A person can always stop the robot.
-                if orders.contains(&Order::Wish(Wish::Damp)) {
-                    self.wish(Wish::Damp, now_s);
-                }
+                self.damp_if_asked(&orders, now_s);
             }
         }
         &self.output
+    }
+
+    /// A person can always stop the robot.
+    fn damp_if_asked(&mut self, orders: &[Order], now_s: f64) {
+        if orders.contains(&Order::Wish(Wish::Damp)) {
+            self.wish(Wish::Damp, now_s);
+        }
     }
 
     /// Returns what to send at `now_s` \[s\] if nothing new has come from the robot.
@@ -396,12 +387,16 @@ mod tests {
             self.bridge.order(&Order::Wish(wish), 1e-3 * f64::from(self.tick_ms));
         }
 
+        fn stand(&mut self) {
+            self.order(Wish::Stand);
+            self.run(2.5);
+            assert_eq!(self.bridge.phase, Phase::Hold);
+        }
+
         fn to_policy(agent: &'a Agent) -> Self {
             let mut rig = Rig::new(agent);
             rig.run(0.1);
-            rig.order(Wish::Stand);
-            rig.run(2.5);
-            assert_eq!(rig.bridge.phase, Phase::Hold);
+            rig.stand();
             rig.order(Wish::Policy);
             rig.run(0.1);
             assert_eq!(rig.bridge.phase, Phase::Policy);
@@ -415,8 +410,8 @@ mod tests {
         let output = rig.run(0.1);
         assert_eq!((output.motors[0].kp, output.motors[0].kd), (47.0, 1.2));
         rig.order(Wish::Lie);
-        let output = rig.run(1.5);
-        assert_eq!((&rig.bridge.phase, &output.motors), (&Phase::Passive, &motor::damping()));
+        assert_eq!(rig.run(1.5).motors, motor::damping());
+        assert_eq!(rig.bridge.phase, Phase::Passive);
     }
 
     #[test]
@@ -495,8 +490,7 @@ mod tests {
         assert!(matches!(rig.bridge.phase, Phase::Damped(_)));
         rig.run(0.1);
         rig.order(Wish::Clear);
-        rig.order(Wish::Stand);
-        rig.run(2.5);
+        rig.stand();
         rig.order(Wish::Policy);
         assert_eq!((&rig.bridge.phase, &rig.bridge.command), (&Phase::Policy, &Command::default()));
     }
@@ -519,23 +513,17 @@ mod tests {
         for period_ms in [5, 1] {
             let mut rig = Rig::to_policy(&AGENT);
             let (mut late_ms, last) = (0, rig.bridge.output.targets);
-            let fresh = loop {
+            while rig.bridge.output.targets == last {
                 rig.tick_ms = rig.tick_ms + period_ms - 2;
-                let output = rig.step(|_| ());
-                if output.targets != last {
-                    break output.targets;
-                }
-            };
-            loop {
+                rig.step(|_| ());
+            }
+            let fresh = rig.bridge.output.targets;
+            while (f64::from(rig.bridge.output.motors[0].q) - fresh[0]).abs() >= 1e-6 {
                 rig.tick_ms = rig.tick_ms + period_ms - 2;
                 late_ms += period_ms;
-                let output = rig.step(|_| ());
-                if (f64::from(output.motors[0].q) - fresh[0]).abs() < 1e-6 {
-                    break;
-                }
+                rig.step(|_| ());
             }
-            let wanted_ms = 1e3 * AGENT.config.simulation.latency_s;
-            let found_ms = f64::from(late_ms);
+            let (found_ms, wanted_ms) = (f64::from(late_ms), 1e3 * AGENT.config.simulation.latency_s);
             assert!((found_ms - wanted_ms).abs() <= 5.0, "{period_ms} ms: {found_ms} ms, expected {wanted_ms} ms");
         }
     }
@@ -566,9 +554,7 @@ mod tests {
         rig.tick_ms = 0;
         rig.run(0.1);
         assert_eq!(rig.bridge.phase, Phase::Passive);
-        rig.order(Wish::Stand);
-        rig.run(2.5);
-        assert_eq!(rig.bridge.phase, Phase::Hold);
+        rig.stand();
     }
 
     #[test]
@@ -588,10 +574,10 @@ mod tests {
     #[test]
     fn commands_stay_within_the_policys_range_and_finite() {
         let mut rig = Rig::new(&AGENT);
-        rig.bridge.order(&Order::Command(Command::velocity(9.0, -9.0, 0.1)), 0.0);
-        assert_eq!(rig.bridge.command, Command::velocity(1.0, -0.5, 0.1));
-        rig.bridge.order(&Order::Command(Command::velocity(f64::NAN, 0.0, 0.0)), 0.0);
-        assert_eq!(rig.bridge.command, Command::velocity(1.0, -0.5, 0.1));
+        for forward in [9.0, f64::NAN] {
+            rig.bridge.order(&Order::Command(Command::velocity(forward, -9.0, 0.1)), 0.0);
+            assert_eq!(rig.bridge.command, Command::velocity(1.0, -0.5, 0.1));
+        }
     }
 
     #[test]

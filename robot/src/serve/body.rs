@@ -192,13 +192,12 @@ impl Body {
     fn sense(&mut self) {
         let data = self.playback.sim().data();
         let (imu, encoders) = self.exact.read(data, self.playback.sim().parts());
-        (self.imu, self.encoders) = match &mut self.sensors {
-            Some(sensors) => {
-                let dt_s = data.model().timestep_s();
-                (sensors.imu(&imu, dt_s, &mut self.rng), sensors.encoders(&encoders, dt_s, &mut self.rng))
-            }
-            None => (imu, encoders),
-        };
+        (self.imu, self.encoders) = (imu, encoders);
+        if let Some(sensors) = &mut self.sensors {
+            let dt_s = data.model().timestep_s();
+            self.imu = sensors.imu(&imu, dt_s, &mut self.rng);
+            self.encoders = sensors.encoders(&encoders, dt_s, &mut self.rng);
+        }
     }
 
     /// Returns the mean frame once enough have come, with the client's joint targets.
@@ -348,16 +347,16 @@ mod tests {
     use super::*;
     use crate::message::crc;
 
-    fn body(noise: Option<SensorNoise>) -> Body {
+    fn body() -> Body {
         let config = configuration(Config::load("go2").unwrap(), 1000).unwrap();
         let mut script = Scenario::named("walk", "{duration_s: 3600.0}").unwrap().script(0, &config).unwrap();
         script.after_fall_s = 3600.0;
-        Body::new(script, config, noise, 0).unwrap()
+        Body::new(script, config, None, 0).unwrap()
     }
 
     #[test]
     fn robot_without_commands_sinks_and_stays_at_rest() {
-        let mut body = body(None);
+        let mut body = body();
         for _ in 0..3 * STATE_HZ {
             assert!(!body.tick().is_over);
         }
@@ -368,7 +367,7 @@ mod tests {
 
     #[test]
     fn held_robot_reports_what_it_is() {
-        let mut body = body(None);
+        let mut body = body();
         let pose = body.robot.nominal_pose;
         body.command(&motor::holding(&pose, &[60.0; JOINTS], &[5.0; JOINTS]));
         (0..2 * STATE_HZ).for_each(|_| drop(body.tick()));
@@ -391,10 +390,9 @@ mod tests {
 
     #[test]
     fn commanded_torque_is_what_the_motor_gives() {
-        let mut body = body(None);
+        let mut body = body();
         let mut motors = motor::damping();
-        motors[4].kd = 0.0;
-        motors[4].tau = -3.5;
+        (motors[4].kd, motors[4].tau) = (0.0, -3.5);
         body.command(&motors);
         body.tick();
         assert!((body.state(Remote::default()).motor_state[4].tau_est + 3.5).abs() < 1e-6);

@@ -1,5 +1,6 @@
 //! Plays the robot in real time: states out at 500 Hz, commands in, a scenario with metrics and a recording.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -97,7 +98,7 @@ pub struct Summary {
     /// Events of the scenario.
     pub events: Vec<Event>,
     /// Faults of the client, by kind.
-    pub complaints: std::collections::BTreeMap<Kind, u64>,
+    pub complaints: BTreeMap<Kind, u64>,
     /// Number of commands that were obeyed.
     pub accepted: u64,
     /// Keeping of time.
@@ -122,17 +123,18 @@ impl Summary {
 
     /// Returns the summary for people.
     pub fn text(&self) -> String {
-        let mut text = format!("commands obeyed: {}\n", self.accepted);
-        for (kind, count) in &self.complaints {
+        let complaint = |(kind, count): (&Kind, &u64)| {
             let verb = if kind.is_refused() { "refused" } else { "noted" };
-            text.push_str(&format!("  {verb}, {}: {count}\n", json!(kind).as_str().unwrap_or_default()));
-        }
-        let Pace { ticks, late, skipped, worst_s } = self.pace;
-        text.push_str(&format!(
-            "ticks: {ticks}; more than 2 ms late: {late}; left out: {skipped}; latest: {:.1} ms\n",
-            1e3 * worst_s
-        ));
-        text + &told(&self.metrics, &self.events)
+            format!("  {verb}, {}: {count}\n", json!(kind).as_str().unwrap_or_default())
+        };
+        let complaints: String = self.complaints.iter().map(complaint).collect();
+        let (Pace { ticks, late, skipped, .. }, worst_ms) = (self.pace, 1e3 * self.pace.worst_s);
+        format!(
+            "commands obeyed: {}\n{complaints}ticks: {ticks}; more than 2 ms late: {late}; left out: {skipped}; latest: {worst_ms:.1} \
+             ms\n{}",
+            self.accepted,
+            told(&self.metrics, &self.events)
+        )
     }
 }
 
@@ -163,7 +165,8 @@ struct Served<'a> {
     page: Option<Page>,
     trace: Trace,
     has_begun: bool,
-    printed: Vec<(Kind, f64)>,
+    /// Time of the last printed complaint of each kind \[s\].
+    printed: BTreeMap<Kind, f64>,
     begin: Instant,
 }
 
@@ -182,8 +185,7 @@ impl<'a> Served<'a> {
         }
         let robot = Arc::clone(&script.scene.robot);
         let standing_m = robot.standing_height_m(&robot.nominal_pose);
-        let operator =
-            settings.scenario.as_ref().map(|_| Operator::new(&script.command, settings.full_sticks, standing_m));
+        let operator = Operator::new(&script.command, settings.full_sticks, standing_m);
         let recording = settings.record.as_ref().map(|path| Recording::start(path.clone(), &script)).transpose()?;
         let page = settings.page.map(|port| open_page(settings, &script, port)).transpose()?;
         let body = Body::new(script.clone(), config, settings.noise, settings.seed)?;
@@ -193,13 +195,13 @@ impl<'a> Served<'a> {
             judge: Judge::new(robot.joint_limits, settings.any_head),
             script,
             body,
-            operator,
+            operator: settings.scenario.as_ref().map(|_| operator),
             remote: Remote::default(),
             recording,
             page,
             trace,
             has_begun: false,
-            printed: Vec::new(),
+            printed: BTreeMap::new(),
             begin: Instant::now(),
         })
     }
@@ -325,12 +327,10 @@ impl<'a> Served<'a> {
 
     /// Prints a complaint, unless one of its kind has been printed a moment ago.
     fn complain(&mut self, complaint: &Complaint, now_s: f64) {
-        let last = self.printed.iter_mut().find(|(kind, _)| *kind == complaint.kind);
-        match last {
-            Some((_, last_s)) if now_s - *last_s < REPEAT_S => return,
-            Some((_, last_s)) => *last_s = now_s,
-            None => self.printed.push((complaint.kind, now_s)),
+        if self.printed.get(&complaint.kind).is_some_and(|last_s| now_s - last_s < REPEAT_S) {
+            return;
         }
+        self.printed.insert(complaint.kind, now_s);
         let verb = if complaint.kind.is_refused() { "refused: " } else { "" };
         self.say(now_s, &format!("{verb}{}", complaint.text));
     }
@@ -347,10 +347,8 @@ impl<'a> Served<'a> {
         if let Some(recording) = self.recording {
             recording.finish()?;
         }
-        let metrics = match &self.settings.scenario {
-            Some(scenario) if self.has_begun => scenario.metrics(&self.script, &self.trace),
-            _ => Vec::new(),
-        };
+        let scenario = self.settings.scenario.as_ref().filter(|_| self.has_begun);
+        let metrics = scenario.map_or_else(Vec::new, |scenario| scenario.metrics(&self.script, &self.trace));
         if let Some(fault) = self.trace.events.iter().find(|event| event.kind == EventKind::Fault) {
             terminal::note(format_args!("the simulation stopped: {}", fault.text));
         }
@@ -408,9 +406,7 @@ impl Recording {
         let time_s = self.time_s;
         let frame = frame.map(|frame| Frame { time_s, ..frame.clone() });
         let events = events.iter().map(|event| Event { time_s, ..event.clone() }).collect();
-        if let Err(TrySendError::Full(_)) = self.sender.try_send((frame, events)) {
-            self.lost += 1;
-        }
+        self.lost += u64::from(matches!(self.sender.try_send((frame, events)), Err(TrySendError::Full(_))));
     }
 
     fn finish(self) -> Result<(), RecordError> {
