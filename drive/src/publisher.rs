@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
-use serde::Serialize;
+use serde_json::json;
 use supple::robot::GRAVITY_M_S2;
 use supple::scenario::session::{Act, Input, LiveReadout, LiveSession, RobotStep, SceneKind};
 use supple::scenario::trace::EventKind;
@@ -16,7 +16,6 @@ use tokio::sync::watch;
 use crate::clock::Clock;
 use crate::driver::Driver;
 use crate::message::Message;
-use crate::request::{RobotStatus, State};
 use crate::viewer_stream::{Cast, Snapshot};
 
 /// Longest wait for a message: silence of the driving page is noticed while paused, too.
@@ -49,7 +48,7 @@ pub trait Shown {
 }
 
 /// The facts about a robot that pages show beside its measurements.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone)]
 pub struct Facts {
     /// Policy as it was requested: name, file or run folder.
     pub policy: String,
@@ -62,10 +61,8 @@ pub struct Facts {
     /// Number of falls since the last set-up.
     pub falls: u32,
     /// Weight \[N\].
-    #[serde(skip)]
     pub weight_n: f64,
     /// Time between two frames \[s\].
-    #[serde(skip)]
     pub period_s: f64,
 }
 
@@ -234,35 +231,40 @@ impl Publisher {
     pub fn publish(&self, world: &impl Shown) {
         let (scene, seed) = world.scene();
         let range = world.range();
-        let robots = world.facts().into_iter().enumerate().map(|(index, facts)| {
-            let frame = self.shown.frames[index].as_deref();
+        let robot = |(index, facts): (usize, Facts)| {
+            let (name, frame) = (&self.shown.cast.names[index], self.shown.frames[index].as_deref());
             let [forward, left, _] = frame.map_or([0.0; 3], |frame| frame.velocity_in_heading);
-            RobotStatus {
-                title: facts.title(&self.shown.cast.names[index]),
-                name: self.shown.cast.names[index].clone(),
-                time_s: frame.map_or(0.0, |frame| frame.time_s),
-                position: frame.map_or([0.0; 3], |frame| frame.position),
-                velocity: [forward, left, frame.map_or(0.0, |frame| frame.yaw_rate)],
-                facts,
-                reading: self.meters[index].read(),
-            }
-        });
-        let state = State {
-            tick: world.tick(),
-            heard: self.driver.count,
-            rate: self.clock.rate(),
-            speed: self.clock.speed,
-            behind: self.clock.is_behind(),
-            paused: self.clock.is_paused,
-            driver: self.driver.page,
-            scene,
-            seed,
-            range: [range.forward, range.left, range.yaw],
-            robots: robots.collect(),
-            notices: (self.noticed, self.notices.iter().cloned().collect()),
+            json!({
+                "name": name, // unique, in the viewer
+                "title": facts.title(name), // with the commanded compliance, such as baseline@0.03
+                "policy": facts.policy,
+                "robot": facts.robot,
+                "time_s": frame.map_or(0.0, |frame| frame.time_s),
+                "position": frame.map_or([0.0; 3], |frame| frame.position), // world frame [m]
+                // Heading frame: forward [m/s], left [m/s], yaw rate [rad/s].
+                "velocity": [forward, left, frame.map_or(0.0, |frame| frame.yaw_rate)],
+                "compliance": facts.compliance,
+                "reach": facts.reach,
+                "falls": facts.falls,
+                "reading": self.meters[index].read(), // velocity, power, push and pull; null before the first step
+            })
         };
-        // Numbers and strings always serialise.
-        let text = serde_json::to_string(&serde_json::json!({ "state": state })).unwrap_or_default();
+        let robots: Vec<_> = world.facts().into_iter().enumerate().map(robot).collect();
+        let state = json!({
+            "tick": world.tick(), // at which the next step begins
+            "heard": self.driver.count, // messages of the driving page that have taken effect
+            "rate": self.clock.rate(), // measured ratio of simulated to real time
+            "speed": self.clock.speed, // requested ratio
+            "behind": self.clock.is_behind(), // the machine is too slow for it
+            "paused": self.clock.is_paused,
+            "driver": self.driver.page,
+            "scene": scene,
+            "seed": seed,
+            "range": [range.forward, range.left, range.yaw], // largest commands [m/s], [m/s], [rad/s]
+            "robots": robots,
+            "notices": (self.noticed, &self.notices), // number of the newest one, and the last few
+        });
+        let text = json!({ "state": state }).to_string();
         self.updates.state.send_replace(text.into());
     }
 }

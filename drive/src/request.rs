@@ -1,11 +1,9 @@
-//! The JSON messages between a page and the server: requests of the page, greeting and state from the server.
+//! The JSON messages between a page and the server: requests of the page and the greeting of the server; states are the publisher's.
 
 use serde::{Deserialize, Serialize};
-use supple::scenario::session::{Act, PushUnit, Reading, SceneKind};
+use supple::scenario::session::{Act, PushUnit, SceneKind};
 use supple::task::Command;
 use supple::util::terminal::echo;
-
-use crate::publisher::Facts;
 
 /// Number that identifies a page's connection.
 pub type PageId = u64;
@@ -120,55 +118,6 @@ pub struct Hello {
     pub viewer: bool,
     /// True if the robot is played by another program: the page cannot change robots, scene or time, nor save.
     pub is_served: bool,
-}
-
-/// The state sent to all pages after every step.
-#[derive(Debug, Clone, Serialize)]
-pub struct State {
-    /// Tick at which the next step begins.
-    pub tick: u64,
-    /// Number of the driving page's messages that have taken effect.
-    pub heard: u64,
-    /// Measured ratio of simulated to real time.
-    pub rate: Option<f64>,
-    /// Requested ratio of simulated to real time.
-    pub speed: f64,
-    /// True if the machine is too slow for `speed`.
-    pub behind: bool,
-    /// True while paused.
-    pub paused: bool,
-    /// Id of the driving page, if there is one.
-    pub driver: Option<PageId>,
-    /// Current scene, if it is one of those that can be chosen.
-    pub scene: Option<SceneKind>,
-    /// Seed of the scene.
-    pub seed: u64,
-    /// Largest commands: forward [m/s], left [m/s], yaw rate [rad/s].
-    pub range: [f64; 3],
-    /// Status of each robot.
-    pub robots: Vec<RobotStatus>,
-    /// Number of the newest notice, and the last few.
-    pub notices: (u64, Vec<String>),
-}
-
-/// The status of a robot.
-#[derive(Debug, Clone, Serialize)]
-pub struct RobotStatus {
-    /// Unique name of the robot in the viewer.
-    pub name: String,
-    /// Name of the robot with its commanded compliance, such as `baseline@0.03`.
-    pub title: String,
-    /// Policy, robot, compliance and falls.
-    #[serde(flatten)]
-    pub facts: Facts,
-    /// Simulated time of the robot \[s\].
-    pub time_s: f64,
-    /// Position in the world frame \[m\].
-    pub position: [f64; 3],
-    /// Current velocity in the heading frame: forward [m/s], left [m/s], yaw rate [rad/s].
-    pub velocity: [f64; 3],
-    /// Present measurements: velocity, power, push and pull; `None` before the first step.
-    pub reading: Option<Reading>,
 }
 
 #[cfg(test)]
