@@ -66,7 +66,7 @@ pub fn play(session: SavedSession, recording: Option<&Path>, mut after_step: imp
                     File::create_new(&path)
                         .with_context(|| format!("cannot create the recording {}", path.display()))?;
                 }
-                recorder = Some(Cast::new(&playback.world).record(Sink::File(path.clone()))?);
+                recorder = Some(Cast::new(&playback.world).record(Sink::File(path.clone()), false)?);
                 replayed.recordings.push(path);
             }
             if let Some(recorder) = &mut recorder {

@@ -63,7 +63,7 @@ impl Minute {
 
     /// Writes the steps as a recording.
     fn record(&self, path: &Path) -> anyhow::Result<()> {
-        let mut recorder = self.cast.record(Sink::File(path.to_owned()))?;
+        let mut recorder = self.cast.record(Sink::File(path.to_owned()), false)?;
         self.steps.iter().try_for_each(|(_, played)| replay::record(&mut recorder, played))?;
         Ok(recorder.finish()?)
     }

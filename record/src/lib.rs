@@ -19,7 +19,7 @@ mod tests;
 #[cfg(feature = "video")]
 mod video;
 
-pub use stream::{LiveSink, Sink, check_name, page_url};
+pub use stream::{Sink, check_name, page_url};
 pub use style::{BLUE, ORANGE, Rgb};
 #[cfg(feature = "video")]
 pub use video::{FRAME_RATE, Video, VideoError};
@@ -126,7 +126,7 @@ impl Recorder {
     /// # Errors
     /// The file cannot be created, no viewer answers, or a model has no trunk.
     pub fn new(sink: Sink, title: &str, robots: &[RobotView<'_>]) -> Result<Self, RecordError> {
-        Self::on(Stream::open(sink, title)?, robots)
+        Self::on(Stream::open(sink, title, false)?, robots)
     }
 
     /// Opens a live view, which keeps only the latest value of each entity: no plots, no events, no time.
@@ -134,8 +134,8 @@ impl Recorder {
     ///
     /// # Errors
     /// No viewer answers, or a model has no trunk.
-    pub fn live(sink: LiveSink, title: &str, robots: &[RobotView<'_>]) -> Result<Self, RecordError> {
-        Self::on(Stream::open_live(sink, title)?, robots)
+    pub fn live(sink: Sink, title: &str, robots: &[RobotView<'_>]) -> Result<Self, RecordError> {
+        Self::on(Stream::open(sink, title, true)?, robots)
     }
 
     fn on(stream: Stream, robots: &[RobotView<'_>]) -> Result<Self, RecordError> {
@@ -146,8 +146,8 @@ impl Recorder {
         let shown = Shown { obstacles: obstacles.contains(&true), estimates };
         blueprint::send(stream.recording()?, &names, shown, stream.is_live)?;
         let robots = robots.iter().enumerate();
-        let robots = robots.map(|(index, view)| Robot::new(&stream, view, index == 0, shown));
-        let robots = robots.collect::<Result<_, _>>()?;
+        let robots =
+            robots.map(|(index, view)| Robot::new(&stream, view, index == 0, shown)).collect::<Result<_, _>>()?;
         Ok(Recorder { stream, robots })
     }
 

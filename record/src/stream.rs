@@ -49,15 +49,8 @@ pub enum Sink {
     /// Web browsers on this machine: the viewer's page is on this port, see [`page_url`], and its data on the next one.
     /// Both are served until the recording is finished; a page opened later still gets all data.
     Serve(u16),
-}
-
-/// Destination of a live view.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum LiveSink {
     /// Memory, from which [`Recorder::take`](super::Recorder::take) takes the data.
     Memory,
-    /// A running viewer, as in [`Sink::Connect`].
-    Connect(Option<String>),
 }
 
 /// Checks that a recording can have this name: that of a file that ends with `.rrd`, as the viewer expects, or of a device.
@@ -108,7 +101,7 @@ pub(super) struct Stream {
     recording: Option<RecordingStream>,
     /// True for live streams, which keep only the latest value of each entity.
     pub(super) is_live: bool,
-    /// Data that a live stream has logged and not yet returned by `take`.
+    /// Data that were logged in memory and not yet returned by `take`.
     memory: Option<BinaryStreamStorage>,
     file: Option<PathBuf>,
     /// The server of the viewer's page, which runs until this is dropped.
@@ -121,10 +114,11 @@ pub(super) struct Stream {
 }
 
 impl Stream {
-    /// Creates the file or connects to the viewer.
-    pub(super) fn open(sink: Sink, title: &str) -> Result<Self, RecordError> {
+    /// Creates the file, connects to the viewer, or starts to store data in memory.
+    pub(super) fn open(sink: Sink, title: &str, is_live: bool) -> Result<Self, RecordError> {
         let builder = builder(title)?;
-        let (recording, file, page, target) = match sink {
+        let (mut memory, mut file, mut page) = (None, None, None);
+        let (recording, target) = match sink {
             Sink::File(path) => {
                 let target = path.display().to_string();
                 check_name(&path)?;
@@ -135,7 +129,9 @@ impl Stream {
                 // Few large chunks: each costs some kilobytes of description.
                 let batches = ChunkBatcherConfig { flush_num_bytes: 8 << 20, ..ChunkBatcherConfig::NEVER };
                 let failed = |error: RecordingStreamError| RecordError::Write(target.clone(), error.to_string());
-                (builder.batcher_config(batches).save(&path).map_err(failed)?, Some(path), None, target)
+                let recording = builder.batcher_config(batches).save(&path).map_err(failed)?;
+                file = Some(path);
+                (recording, target)
             }
             Sink::Connect(url) => {
                 let target = url.unwrap_or_else(|| rerun::DEFAULT_CONNECT_URL.to_owned());
@@ -143,45 +139,27 @@ impl Stream {
                     .batcher_config(LIVE)
                     .connect_grpc_opts(target.clone())
                     .map_err(|error| RecordError::Viewer(target.clone(), error.to_string()))?;
-                (recording, None, None, target)
+                (recording, target)
             }
             Sink::Serve(port) => {
-                let (recording, page) = serve(builder, port)?;
-                (recording, None, Some(page), page_url(port))
+                let (recording, server) = serve(builder, port)?;
+                page = Some(server);
+                (recording, page_url(port))
             }
-        };
-        Self::begin(recording, None, file, page, target)
-    }
-
-    /// Connects to the viewer, or starts to store data in memory.
-    pub(super) fn open_live(sink: LiveSink, title: &str) -> Result<Self, RecordError> {
-        let mut stream = match sink {
-            LiveSink::Connect(url) => Stream::open(Sink::Connect(url), title)?,
-            LiveSink::Memory => {
+            Sink::Memory => {
                 // The reader flushes before it takes the data.
-                let recording = builder(title)?.batcher_config(ChunkBatcherConfig::NEVER).buffered()?;
-                let (sink, memory) = BinaryStreamSink::new(recording.clone());
+                let recording = builder.batcher_config(ChunkBatcherConfig::NEVER).buffered()?;
+                let (sink, storage) = BinaryStreamSink::new(recording.clone());
                 recording.set_sink(Box::new(sink));
-                Self::begin(recording, Some(memory), None, None, "in memory".to_owned())?
+                memory = Some(storage);
+                (recording, "in memory".to_owned())
             }
         };
-        stream.is_live = true;
-        Ok(stream)
-    }
-
-    fn begin(
-        recording: RecordingStream,
-        memory: Option<BinaryStreamStorage>,
-        file: Option<PathBuf>,
-        page: Option<Page>,
-        target: String,
-    ) -> Result<Self, RecordError> {
         recording.set_log_time_enabled(false);
         recording.set_log_tick_enabled(false);
         let frames_per_flush = if file.is_some() { 1200 } else { 120 };
         let recording = Some(recording);
-        let mut stream =
-            Stream { recording, is_live: false, memory, file, _page: page, target, frames_per_flush, frames: 0 };
+        let mut stream = Stream { recording, is_live, memory, file, _page: page, target, frames_per_flush, frames: 0 };
         match stream.flush() {
             Err(RecordError::Write(target, _)) if stream.file.is_none() => {
                 Err(RecordError::Viewer(target, format!("nothing within {PATIENCE:?}")))

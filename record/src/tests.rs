@@ -218,7 +218,7 @@ fn live_recording_stays_as_large_as_it_began() {
     let scene = scene(Ground::Flat);
     let model = scene.compile_visual().unwrap();
     let view = RobotView { tint: Some(BLUE), ..RobotView::new("compliant", &model, &scene) };
-    let mut recorder = Recorder::live(LiveSink::Memory, "test", &[view]).unwrap();
+    let mut recorder = Recorder::live(Sink::Memory, "test", &[view]).unwrap();
     let (mut sent, mut chunks) = (Vec::new(), Vec::new());
     for step in 0_u16..240 {
         let mut frame = frame(&model, f64::from(step) / 60.0);
