@@ -127,15 +127,7 @@ fn play_seeds(
     robots: &[(String, Agent)],
     seeds: &RangeInclusive<u64>,
 ) -> anyhow::Result<()> {
-    let mut runs: Vec<OfSeeds> = robots
-        .iter()
-        .map(|(name, agent)| OfSeeds {
-            policy: name.clone(),
-            sha256: agent.sha256.clone(),
-            robot: agent.config.robot.model.clone(),
-            metrics: Vec::new(),
-        })
-        .collect();
+    let mut runs: Vec<OfSeeds<'_>> = robots.iter().map(|played| OfSeeds { played, metrics: Vec::new() }).collect();
     let of_seed = |seed: &u64| Trial::new(args, scenario, robots, *seed);
     let (first, last) = (seeds.start(), seeds.end());
     // The same trial again and again has no spread.
@@ -156,7 +148,7 @@ fn play_seeds(
             run.metrics.push(metrics);
             if let (Some(fault), None) = (trace.fault(), &failed) {
                 failed =
-                    Some(format!("{}, seed {seed}: stopped after {:.2} s: {}", run.policy, fault.time_s, fault.text));
+                    Some(format!("{}, seed {seed}: stopped after {:.2} s: {}", run.played.0, fault.time_s, fault.text));
             }
         }
     }
