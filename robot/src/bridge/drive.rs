@@ -21,7 +21,7 @@ use super::phase::{Phase, Wish};
 use super::reading::Reading;
 use super::safety::{Fault, SILENCE_S};
 use crate::dds::switcher::Client;
-use crate::dds::{Arrival, Delivery, Node, Place, Publisher, WriterId};
+use crate::dds::{Arrival, Delivery, Network, Node, Place, Publisher, WriterId};
 use crate::message::{LowCmd, LowState, MotorCmd};
 use crate::serve::{COMMANDS, STATES};
 
@@ -40,21 +40,41 @@ const LIE: Duration = Duration::from_secs(5);
 /// Time for which the motors damp at the end, so that the robot does not drop.
 const DAMP: Duration = Duration::from_millis(500);
 
-/// The bridge's settings.
-#[derive(Debug, Clone)]
+/// The bridge's settings: the command line of `robot run`.
+#[derive(clap::Args, Debug)]
 pub struct Settings {
-    /// The place in the network.
-    pub place: Place,
-    /// Delay of the joint targets \[s\]; `None` for that of the policy's training.
+    /// Policy file, run folder, YAML file of an external policy, or name of a shipped policy of the Go2; with @C behind it, it has the
+    /// commanded compliance C (m/s/N)
+    #[arg(value_name = "FILE|NAME[@C]", default_value = "go2/real")]
+    pub policy: String,
+    /// Commanded compliance (m/s/N) [default: the policy's own]
+    #[arg(long, value_name = "C")]
+    pub compliance: Option<f64>,
+    /// Commanded velocity at first: forward (m/s), left (m/s), turning (rad/s)
+    #[arg(long, value_name = "V,V,W", value_delimiter = ',', default_values_t = [0.0, 0.0, 0.0],
+          allow_hyphen_values = true)]
+    pub velocity: Vec<f64>,
+    /// Delay of the joint targets (s) [default: that of the policy's training]
+    #[arg(long, value_name = "S")]
     pub latency_s: Option<f64>,
-    /// The command at first.
-    pub command: Command,
-    /// True to send nothing.
+    /// Do not release the robot's own controller first, for simulators without motion_switcher
+    #[arg(long)]
+    pub no_release: bool,
+    /// Send nothing, and show what would be sent
+    #[arg(long)]
     pub dry_run: bool,
-    /// True to release the robot's own controller first.
-    pub release: bool,
-    /// File of the log.
+    /// Take orders as JSON lines from UDP on this port of this machine; the velocity becomes 0 half a second after the last
+    #[arg(long, value_name = "PORT")]
+    pub udp: Option<u16>,
+    /// Log of states and commands; its older half is FILE.old
+    #[arg(long, value_name = "FILE", default_value = "robot-log.csv")]
     pub log: PathBuf,
+    /// Print one JSON object on stdout at the end
+    #[arg(long)]
+    pub json: bool,
+    /// The place in the network
+    #[command(flatten)]
+    pub network: Network,
 }
 
 /// The report of a run of the bridge.
@@ -84,19 +104,21 @@ pub struct Report {
     pub log_error: Option<String>,
 }
 
-/// Runs a policy until an order or `stop` ends it. A `stop` before the first command leaves the robot as it is.
+/// Runs a policy, with this command at first, until an order or `stop` ends it. A `stop` before the first command leaves the robot as it is.
 ///
 /// # Errors
 /// The network or the policy fails, the robot is silent at first, or another program commands it.
 pub fn drive(
     settings: &Settings,
     agent: &Agent,
+    command: Command,
     orders: &Receiver<Order>,
     stop: &AtomicBool,
 ) -> anyhow::Result<Report> {
+    let place = settings.network.place()?;
     let mut bridge = Bridge::new(agent, settings.latency_s)?;
-    bridge.order(&Order::Command(settings.command), 0.0);
-    let node = Node::open(&settings.place)?;
+    bridge.order(&Order::Command(command), 0.0);
+    let node = Node::open(&place)?;
     let (sender, states) = sync_channel::<Arrival<LowState>>(64);
     let _states = node.listen::<LowState>(STATES, LowState::TYPE, Delivery::BestEffort, move |arrival| {
         // Full: this loop hangs, which the outlet notices.
@@ -108,7 +130,7 @@ pub fn drive(
         seen.see(arrival.writer);
     })?;
     let Ok(first) = states.recv_timeout(FIRST_STATE) else {
-        let Place { domain, address, .. } = settings.place;
+        let Place { domain, address, .. } = place;
         bail!(
             "no rt/lowstate for {} s on {address}, DDS domain {domain}: is the robot on, the cable in, and the address of this \
              interface in the robot's network? A Go2 is in domain 0",
@@ -118,7 +140,7 @@ pub fn drive(
     if Reading::is_unsigned(&first.message) {
         terminal::note("note: states have no checksum, as those of unitree_mujoco; a Go2's have one");
     }
-    if settings.release && !settings.dry_run && !stop.load(Ordering::Relaxed) {
+    if !settings.no_release && !settings.dry_run && !stop.load(Ordering::Relaxed) {
         let mode = Client::new(&node)?.release(stop)?;
         if !mode.is_empty() {
             terminal::note(format_args!("released the robot's own controller, '{mode}'"));

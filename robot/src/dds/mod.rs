@@ -75,6 +75,27 @@ impl Place {
     }
 }
 
+/// The command line of a place in a network.
+#[derive(clap::Args, Debug)]
+#[command(next_help_heading = "Network")]
+pub struct Network {
+    /// Network interface, by name or address; nothing is sent on any other
+    #[arg(long, value_name = "NAME|ADDRESS", default_value = "lo")]
+    pub interface: String,
+    /// DDS domain: 0 for a Go2; simulators use 1
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub domain: u16,
+    /// Address to announce to, for networks without multicast; may be repeated [default: itself, on a loopback interface]
+    #[arg(long, value_name = "ADDRESS")]
+    pub peer: Vec<Ipv4Addr>,
+}
+
+impl Network {
+    pub(crate) fn place(&self) -> anyhow::Result<Place> {
+        Place::new(&self.interface, self.domain, self.peer.clone())
+    }
+}
+
 /// A message that arrived.
 #[derive(Debug, Clone)]
 pub struct Arrival<T> {

@@ -10,6 +10,7 @@ mod link;
 pub(crate) mod operator;
 mod page;
 mod play;
+mod settings;
 
-pub use link::Faults;
-pub use play::{COMMANDS, STATES, Settings, Summary, play, told};
+pub use play::{COMMANDS, STATES, Summary, play, told};
+pub use settings::{Settings, scenario};

@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 use supple::config::Config;
 use supple::estimate::SensorNoise;
 use supple::provenance::git_revision;
-use supple::robot::{GRAVITY_M_S2, JointLosses};
+use supple::robot::GRAVITY_M_S2;
 use supple::scenario::Script;
 use supple::scenario::catalog::Scenario;
 use supple::scenario::metrics::{Metric, by_name};
@@ -28,6 +28,7 @@ use super::judge::{Complaint, Judge, Kind};
 use super::link::{Faults, Link};
 use super::operator::Operator;
 use super::page::Page;
+use super::settings::Settings;
 use crate::dds::{Arrival, Delivery, Node, Place, switcher};
 use crate::message::{LowCmd, LowState};
 use crate::remote::{FullSticks, Remote};
@@ -46,37 +47,6 @@ const GIVE_UP_S: f64 = 0.05;
 /// Repeated complaints of one kind are printed no more often than this \[s\].
 const REPEAT_S: f64 = 2.0;
 
-/// The simulated robot, its scenario and its connection.
-#[derive(Debug, Clone)]
-pub struct Settings {
-    /// The place in the network.
-    pub place: Place,
-    /// The scenario; `None` for the plane without end.
-    pub scenario: Option<Scenario>,
-    /// Seed of everything random.
-    pub seed: u64,
-    /// Losses in the joints.
-    pub joints: JointLosses,
-    /// Errors of the sensors; `None` for exact ones.
-    pub noise: Option<SensorNoise>,
-    /// Physics rate \[Hz\], a multiple of 500.
-    pub physics_hz: u32,
-    /// Errors of the connection, each way.
-    pub faults: Faults,
-    /// True if commands are obeyed without a release of the robot's own controller.
-    pub released: bool,
-    /// True if head and level flag of commands are not looked at.
-    pub any_head: bool,
-    /// The velocities that full sticks of the simulated remote mean.
-    pub full_sticks: FullSticks,
-    /// File of the recording.
-    pub record: Option<PathBuf>,
-    /// Port of the page on which people push and pull the robot; 0 takes any free one.
-    pub page: Option<u16>,
-    /// Time after which the program ends \[s\]; `None` for the scenario's end or Ctrl-C.
-    pub seconds: Option<f64>,
-}
-
 /// Keeping of time.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct Pace {
@@ -93,6 +63,10 @@ pub struct Pace {
 /// The outcome of serving.
 #[derive(Debug)]
 pub struct Summary {
+    /// The scenario; `None` for the plane without end.
+    pub scenario: Option<Scenario>,
+    /// Seed of everything random.
+    pub seed: u64,
     /// Metrics of the scenario, if one began.
     pub metrics: Vec<Metric>,
     /// Events of the scenario.
@@ -107,13 +81,13 @@ pub struct Summary {
 
 impl Summary {
     /// Returns the summary as one JSON object, like that of the program `scenario`.
-    pub fn to_json(&self, settings: &Settings) -> Value {
+    pub fn to_json(&self) -> Value {
         let metrics = by_name(&self.metrics, Metric::to_json);
         json!({
-            "scenario": settings.scenario.as_ref().map(Scenario::name),
+            "scenario": self.scenario.as_ref().map(Scenario::name),
             "revision": git_revision(),
-            "seed": settings.seed,
-            "parameters": settings.scenario,
+            "seed": self.seed,
+            "parameters": self.scenario,
             "units": by_name(&self.metrics, |metric| json!(metric.unit)),
             "runs": [{"policy": "client", "robot": "go2", "metrics": metrics, "events": self.events}],
             "client": {"accepted": self.accepted, "complaints": self.complaints},
@@ -156,6 +130,10 @@ pub fn play(settings: &Settings, stop: &AtomicBool) -> anyhow::Result<Summary> {
 /// A robot being served.
 struct Served<'a> {
     settings: &'a Settings,
+    place: Place,
+    faults: Faults,
+    full_sticks: FullSticks,
+    scenario: Option<Scenario>,
     script: Script,
     body: Body,
     judge: Judge,
@@ -176,26 +154,33 @@ const ENDLESS_S: f64 = 1e8;
 impl<'a> Served<'a> {
     /// Builds the robot in its scene.
     fn new(settings: &'a Settings) -> anyhow::Result<Self> {
+        let (faults, full_sticks) = (settings.faults()?, settings.full_sticks()?);
+        let (place, scenario) = (settings.network.place()?, settings.scenario()?);
         let mut config = configuration(Config::load("go2")?, settings.physics_hz)?;
         config.robot.set_losses(settings.joints.into());
         let plane = Scenario::named("walk", "{}")?;
-        let mut script = settings.scenario.as_ref().unwrap_or(&plane).script(settings.seed, &config)?;
-        if settings.scenario.is_none() {
+        let mut script = scenario.as_ref().unwrap_or(&plane).script(settings.seed, &config)?;
+        if scenario.is_none() {
             (script.duration_s, script.after_fall_s) = (ENDLESS_S, ENDLESS_S);
         }
         let robot = Arc::clone(&script.scene.robot);
         let standing_m = robot.standing_height_m(&robot.nominal_pose);
-        let operator = Operator::new(&script.command, settings.full_sticks, standing_m);
+        let operator = Operator::new(&script.command, full_sticks, standing_m);
         let recording = settings.record.as_ref().map(|path| Recording::start(path.clone(), &script)).transpose()?;
-        let page = settings.page.map(|port| open_page(settings, &script, port)).transpose()?;
-        let body = Body::new(script.clone(), config, settings.noise, settings.seed)?;
+        let page = settings.page.then(|| open_page(settings, full_sticks, &script)).transpose()?;
+        let noise = (!settings.exact_sensors).then(SensorNoise::default);
+        let body = Body::new(script.clone(), config, noise, settings.seed)?;
         let trace = Trace { period_s: FRAME_S, weight_n: robot.mass_kg * GRAVITY_M_S2, ..Trace::default() };
         Ok(Served {
             settings,
+            place,
+            faults,
+            full_sticks,
             judge: Judge::new(robot.joint_limits, settings.any_head),
             script,
             body,
-            operator: settings.scenario.as_ref().map(|_| operator),
+            operator: scenario.as_ref().map(|_| operator),
+            scenario,
             remote: Remote::default(),
             recording,
             page,
@@ -211,7 +196,7 @@ impl<'a> Served<'a> {
     }
 
     fn play(mut self, stop: &AtomicBool) -> anyhow::Result<Summary> {
-        let node = Node::open(&self.settings.place)?;
+        let node = Node::open(&self.place)?;
         let released = Arc::new(AtomicBool::new(self.settings.released));
         let switched = Arc::clone(&released);
         let always = self.settings.released;
@@ -225,8 +210,8 @@ impl<'a> Served<'a> {
         })?;
         let states = node.publish::<LowState>(STATES, LowState::TYPE, Delivery::BestEffort)?;
         let mut rng = stream(self.settings.seed, Purpose::Sensor, 1, 0);
-        let mut outward = Link::new(self.settings.faults);
-        let mut inward = Link::new(self.settings.faults);
+        let mut outward = Link::new(self.faults);
+        let mut inward = Link::new(self.faults);
         let mut pace = Pace::default();
         self.begin = Instant::now();
         let mut due_s = 0.0;
@@ -291,7 +276,7 @@ impl<'a> Served<'a> {
         if let Some(page) = &mut self.page {
             page.act(&mut self.body);
             if self.operator.is_none() {
-                self.remote = self.settings.full_sticks.remote(&page.command);
+                self.remote = self.full_sticks.remote(&page.command);
                 self.body.playback.ask(page.command);
             }
         }
@@ -318,7 +303,7 @@ impl<'a> Served<'a> {
         if let Some(page) = &mut self.page {
             page.show(tick.frame.as_ref(), &tick.events);
         }
-        if self.has_begun && self.settings.scenario.is_some() {
+        if self.has_begun && self.scenario.is_some() {
             self.trace.frames.extend(tick.frame.map(|frame| Frame { bodies: Vec::new(), ..frame }));
             self.trace.events.extend(tick.events);
         }
@@ -347,12 +332,14 @@ impl<'a> Served<'a> {
         if let Some(recording) = self.recording {
             recording.finish()?;
         }
-        let scenario = self.settings.scenario.as_ref().filter(|_| self.has_begun);
+        let scenario = self.scenario.as_ref().filter(|_| self.has_begun);
         let metrics = scenario.map_or_else(Vec::new, |scenario| scenario.metrics(&self.script, &self.trace));
         if let Some(fault) = self.trace.events.iter().find(|event| event.kind == EventKind::Fault) {
             terminal::note(format_args!("the simulation stopped: {}", fault.text));
         }
         Ok(Summary {
+            scenario: self.scenario,
+            seed: self.settings.seed,
             metrics,
             events: self.trace.events,
             complaints: self.judge.counts,
@@ -363,10 +350,13 @@ impl<'a> Served<'a> {
 }
 
 /// Opens the page on a port of this machine.
-fn open_page(settings: &Settings, script: &Script, port: u16) -> anyhow::Result<Page> {
-    let [forward, left, yaw] = settings.full_sticks.0;
+fn open_page(
+    settings: &Settings,
+    FullSticks([forward, left, yaw]): FullSticks,
+    script: &Script,
+) -> anyhow::Result<Page> {
     let (page, to_robot) = Page::new(&script.scene, settings.seed, Command::velocity(forward, left, yaw));
-    let url = page.serve(to_robot, port)?;
+    let url = page.serve(to_robot, settings.port)?;
     terminal::note(format_args!("push and pull the robot at {url}"));
     Ok(page)
 }

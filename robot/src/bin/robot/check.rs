@@ -10,7 +10,7 @@ use supple::util::terminal;
 use supple::util::yaml;
 use supple_robot::check::{Columns, LogRows, Verdict, check};
 use supple_robot::lockstep::rehearse;
-use supple_robot::serve::told;
+use supple_robot::serve::{scenario, told};
 
 /// The command line of `robot check`.
 #[derive(Args, Debug)]
@@ -84,7 +84,7 @@ pub struct Rehearse {
 pub fn run_rehearsal(args: &Rehearse) -> anyhow::Result<()> {
     let agent = shipped::find(&args.policy)?;
     let compliance = agent.resolve_compliance(None, args.compliance).with_context(|| args.policy.clone())?;
-    let scenario = crate::serve::scenario(&args.scenario, &args.set)?;
+    let scenario = scenario(&args.scenario, &args.set)?;
     let rehearsal = rehearse(&agent, &scenario, args.seed, compliance, args.physics_hz)?;
     if args.json {
         let metrics = by_name(&rehearsal.metrics, Metric::to_json);

@@ -2,12 +2,10 @@
 
 use std::io::{BufRead, IsTerminal, Read};
 use std::net::{Ipv4Addr, UdpSocket};
-use std::path::PathBuf;
 use std::sync::mpsc::{Sender, channel};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use clap::Args;
 use rustix::termios::{LocalModes, OptionalActions, SpecialCodeIndex, Termios, tcgetattr, tcsetattr};
 use supple::policy::shipped;
 use supple::task::Command;
@@ -15,63 +13,20 @@ use supple::util::terminal;
 use supple_robot::bridge::{KEYS, Order, Report, Settings, drive};
 use supple_robot::remote::FullSticks;
 
-use crate::{Network, stop_flag};
-
-/// The command line.
-#[derive(Args, Debug)]
-pub struct Run {
-    /// Policy file, run folder, YAML file of an external policy, or name of a shipped policy of the Go2; with @C behind it, it has the
-    /// commanded compliance C (m/s/N)
-    #[arg(value_name = "FILE|NAME[@C]", default_value = "go2/real")]
-    policy: String,
-    /// Commanded compliance (m/s/N) [default: the policy's own]
-    #[arg(long, value_name = "C")]
-    compliance: Option<f64>,
-    /// Commanded velocity at first: forward (m/s), left (m/s), turning (rad/s)
-    #[arg(long, value_name = "V,V,W", value_delimiter = ',', default_values_t = [0.0, 0.0, 0.0],
-          allow_hyphen_values = true)]
-    velocity: Vec<f64>,
-    /// Delay of the joint targets (s) [default: that of the policy's training]
-    #[arg(long, value_name = "S")]
-    latency_s: Option<f64>,
-    /// Do not release the robot's own controller first, for simulators without motion_switcher
-    #[arg(long)]
-    no_release: bool,
-    /// Send nothing, and show what would be sent
-    #[arg(long)]
-    dry_run: bool,
-    /// Take orders as JSON lines from UDP on this port of this machine; the velocity becomes 0 half a second after the last
-    #[arg(long, value_name = "PORT")]
-    udp: Option<u16>,
-    /// Log of states and commands; its older half is FILE.old
-    #[arg(long, value_name = "FILE", default_value = "robot-log.csv")]
-    log: PathBuf,
-    /// Print one JSON object on stdout at the end
-    #[arg(long)]
-    json: bool,
-    #[command(flatten)]
-    network: Network,
-}
+use crate::stop_flag;
 
 /// Runs until a key or Ctrl-C. Where the orders on standard input end, as where the program that gives them has died, the robot stops
 /// walking.
-pub fn run(args: &Run) -> anyhow::Result<()> {
-    let agent = shipped::find(&args.policy)?;
-    let compliance = agent.resolve_compliance(None, args.compliance).with_context(|| args.policy.clone())?;
-    let [forward, left, yaw] = args.velocity[..] else { anyhow::bail!("--velocity: expected three numbers") };
+pub fn run(settings: &Settings) -> anyhow::Result<()> {
+    let agent = shipped::find(&settings.policy)?;
+    let compliance = agent.resolve_compliance(None, settings.compliance).with_context(|| settings.policy.clone())?;
+    let [forward, left, yaw] = settings.velocity[..] else { anyhow::bail!("--velocity: expected three numbers") };
     let range = FullSticks::new(&agent.config.command);
     range.check([forward, left, yaw]).map_err(|error| anyhow::anyhow!("--velocity: {error}"))?;
-    let settings = Settings {
-        place: args.network.place()?,
-        latency_s: args.latency_s,
-        command: Command { compliance, ..Command::velocity(forward, left, yaw) },
-        dry_run: args.dry_run,
-        release: !args.no_release,
-        log: args.log.clone(),
-    };
+    let command = Command { compliance, ..Command::velocity(forward, left, yaw) };
     let stop = stop_flag()?;
     let (sender, orders) = channel();
-    if let Some(port) = args.udp {
+    if let Some(port) = settings.udp {
         let socket =
             UdpSocket::bind((Ipv4Addr::LOCALHOST, port)).with_context(|| format!("cannot open UDP port {port}"))?;
         listen(socket, sender.clone(), range)?;
@@ -84,11 +39,11 @@ pub fn run(args: &Run) -> anyhow::Result<()> {
         }
         None => drop(std::thread::spawn(move || orders_of_stdin(std::io::stdin().lock(), &sender, &range))),
     }
-    let report = drive(&settings, &agent, &orders, &stop);
+    let report = drive(settings, &agent, command, &orders, &stop);
     drop(raw);
     let report = report?;
-    let log = args.log.display();
-    if args.json {
+    let log = settings.log.display();
+    if settings.json {
         terminal::print(format_args!("{}\n", serde_json::to_string(&report)?))?;
     } else {
         let Report { states, ignored, lost, commands, resent, .. } = report;
