@@ -80,7 +80,6 @@ impl Change {
 }
 
 /// The change that is being built.
-#[derive(Debug)]
 struct Present {
     number: u64,
     name: String,
@@ -90,7 +89,6 @@ struct Present {
 }
 
 /// Builds changes, one after another.
-#[derive(Debug)]
 pub struct Builder {
     waiting: VecDeque<Change>,
     present: Option<Present>,

@@ -16,7 +16,6 @@ const CATCH_UP: Duration = Duration::from_millis(50);
 const WINDOW: Duration = Duration::from_secs(2);
 
 /// The schedule of ticks in real time.
-#[derive(Debug)]
 pub struct Clock {
     /// Reference tick and the time at which it is due.
     origin: (u64, Instant),

@@ -9,7 +9,6 @@ use crate::request::{PageId, Request};
 pub const SILENCE: Duration = Duration::from_millis(350);
 
 /// The driving page and when it was last heard.
-#[derive(Debug)]
 pub struct Driver {
     /// Id of the driving page, if there is one.
     pub page: Option<PageId>,

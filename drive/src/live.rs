@@ -26,7 +26,6 @@ use crate::watch_run;
 const MINUTE: u64 = 60 * RATE_HZ;
 
 /// The state of the thread that owns the robots.
-#[derive(Debug)]
 pub struct Live {
     world: LiveSession,
     cache: AgentCache,

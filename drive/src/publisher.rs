@@ -106,7 +106,6 @@ impl Shown for LiveSession {
 }
 
 /// The published state: clock, driver, measurements and notices.
-#[derive(Debug)]
 pub struct Publisher {
     /// Clock that ties simulated to real time.
     pub clock: Clock,

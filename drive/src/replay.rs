@@ -17,7 +17,6 @@ use crate::server::start_thread;
 use crate::viewer_stream::Cast;
 
 /// The result of a replay.
-#[derive(Debug)]
 pub struct Replayed {
     /// Number of policy steps, summed over the robots.
     pub steps: usize,

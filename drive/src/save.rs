@@ -70,7 +70,6 @@ impl Minute {
 }
 
 /// A session to be saved.
-#[derive(Debug)]
 pub struct Save {
     /// The session, or its last part.
     pub part: SessionPart,
@@ -89,7 +88,6 @@ struct Saved {
 type Unfinished = Arc<Mutex<Option<Vec<PathBuf>>>>;
 
 /// The threads that write sessions and recordings.
-#[derive(Debug)]
 pub struct Saver {
     to: SyncSender<Save>,
     unfinished: Unfinished,

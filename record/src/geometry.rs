@@ -21,7 +21,6 @@ const FEWEST_BALLS: usize = 4;
 const TINT_SHARE: f32 = 0.5;
 
 /// The moving parts of a model and their names.
-#[derive(Debug)]
 pub(super) struct Parts {
     /// Body id of the trunk.
     pub(super) trunk: usize,

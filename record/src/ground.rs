@@ -34,7 +34,6 @@ const GRIPPY: Rgb = [122, 104, 70];
 const FRICTION_SHARE: f32 = 0.55;
 
 /// A chequered patch of ground that follows the robot.
-#[derive(Debug)]
 pub(super) struct Patch {
     path: EntityPath,
     /// Position of the patch's middle, in periods of the pattern; `None` before it has been logged.

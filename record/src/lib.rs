@@ -114,7 +114,6 @@ pub fn record(path: &Path, title: &str, name: &str, scene: &Scene, trace: &Trace
 }
 
 /// A recording in progress: logs the frames and events of robots.
-#[derive(Debug)]
 pub struct Recorder {
     stream: Stream,
     robots: Vec<Robot>,

@@ -28,7 +28,6 @@ const ABOVE_GROUND_M: f32 = 0.003;
 const LABEL_HEIGHT_M: f32 = 0.28;
 
 /// The marks that are drawn, and the times at which they end.
-#[derive(Debug)]
 pub(super) struct Overlay {
     root: EntityPath,
     ground: Ground,

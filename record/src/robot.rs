@@ -25,7 +25,6 @@ const BALLS_IN_EVERY_FRAME: usize = 500;
 const LEAST_BALL_CHANGE_M: f32 = 5e-4;
 
 /// The entities of a robot, and the values that were logged last.
-#[derive(Debug)]
 pub(super) struct Robot {
     name: String,
     is_first: bool,

@@ -300,12 +300,6 @@ fn serve(builder: RecordingStreamBuilder, port: u16) -> Result<(RecordingStream,
     Ok((recording, Box::new(server)))
 }
 
-impl std::fmt::Debug for Stream {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Stream").field("target", &self.target).field("is_live", &self.is_live).finish_non_exhaustive()
-    }
-}
-
 /// Drops the rerun stream in the background, because closing it may hang.
 impl Drop for Stream {
     fn drop(&mut self) {

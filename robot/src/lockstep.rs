@@ -25,7 +25,6 @@ use crate::serve::operator::Operator;
 const STAND_S: f64 = 12.0;
 
 /// The outcome of a rehearsal.
-#[derive(Debug)]
 pub struct Rehearsal {
     /// Metrics of the scenario.
     pub metrics: Vec<Metric>,

@@ -57,7 +57,6 @@ struct Shared {
 }
 
 /// A server that runs on a thread of its own until the program ends.
-#[derive(Debug)]
 pub struct Serving {
     /// Address to open in a browser.
     pub url: String,

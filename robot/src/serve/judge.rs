@@ -63,7 +63,6 @@ pub struct Complaint {
 }
 
 /// Decides which commands are obeyed.
-#[derive(Debug)]
 pub struct Judge {
     joint_limits: [[f64; 2]; JOINTS],
     any_head: bool,

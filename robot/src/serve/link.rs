@@ -16,7 +16,6 @@ pub struct Faults {
 }
 
 /// Messages on their way.
-#[derive(Debug)]
 pub struct Link<T> {
     faults: Faults,
     /// Time of arrival \[s\] and message, in order of arrival.

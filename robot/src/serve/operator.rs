@@ -16,7 +16,6 @@ const HIGH: f64 = 0.8;
 const LEVEL_RAD: f64 = 0.3;
 
 /// Presses START for the robot to stand up, A for the policy to begin, then keeps the sticks at the scenario's command.
-#[derive(Debug)]
 pub struct Operator {
     sticks: Remote,
     /// Base height of the standing robot \[m\].

@@ -61,7 +61,6 @@ pub struct Pace {
 }
 
 /// The outcome of serving.
-#[derive(Debug)]
 pub struct Summary {
     /// The scenario; `None` for the plane without end.
     pub scenario: Option<Scenario>,
