@@ -34,13 +34,14 @@ const GIVEN_UP: usize = 4;
 pub enum Change {
     /// Another seed; `None` takes the next one.
     Seed(Option<u64>),
-    /// Another scene.
     Scene(SceneKind),
     /// Another policy and robot, as in [`Request::Robot`](crate::request::Request::Robot).
-    Robot { index: usize, policy: Option<String>, robot: Option<String> },
-    /// A newer policy of a training run.
+    Robot {
+        index: usize,
+        policy: Option<String>,
+        robot: Option<String>,
+    },
     Policy(Box<NewPolicy>),
-    /// Another set-up.
     Setup(Setup),
 }
 

@@ -39,7 +39,6 @@ pub struct Minute {
 }
 
 impl Minute {
-    /// Creates an empty minute for these robots.
     pub fn new(cast: &Arc<Cast>) -> Self {
         Minute { cast: Arc::clone(cast), steps: VecDeque::new() }
     }
@@ -71,7 +70,6 @@ impl Minute {
 
 /// A session to be saved.
 pub struct Save {
-    /// The session, or its last part.
     pub part: SessionPart,
     /// The steps to be recorded; `None` replays the session.
     pub minute: Option<Minute>,

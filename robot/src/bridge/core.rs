@@ -28,7 +28,6 @@ const MAX_GAP_MS: u32 = 100;
 /// The command that goes to the motors.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Output {
-    /// The command of each motor.
     pub motors: [MotorCmd; JOINTS],
     /// The joint targets of phase or policy, before latency \[rad\]; the joint angles where there are none.
     pub targets: Joints,
@@ -62,7 +61,6 @@ pub struct Bridge<'a> {
     last_tick_ms: Option<u32>,
     /// Time of the last reading \[s\].
     last_s: f64,
-    /// The last reading.
     pub reading: Option<Reading>,
     /// The command that was computed last.
     pub output: Output,

@@ -12,11 +12,9 @@ use crate::remote::Remote;
 pub struct Reading {
     /// Clock of the robot \[ms\].
     pub tick_ms: u32,
-    /// Gyro and accelerometer.
     pub imu: ImuReading,
     /// The IMU's own orientation, world from base.
     pub world_from_base: UnitQuaternion<f64>,
-    /// Joint angles and rates.
     pub encoders: EncoderReading,
     /// Torques of the motors [N·m].
     pub torques: Joints,
@@ -24,7 +22,6 @@ pub struct Reading {
     pub hottest: (u8, usize),
     /// State of charge \[%\]; `None` if the battery reports nothing, as in simulators.
     pub charge_percent: Option<u8>,
-    /// The remote.
     pub remote: Remote,
 }
 
@@ -58,7 +55,6 @@ impl Reading {
         })
     }
 
-    /// Returns true if a state has no checksum.
     pub fn is_unsigned(state: &LowState) -> bool {
         state.crc == 0
     }

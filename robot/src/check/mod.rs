@@ -10,7 +10,7 @@ mod mistakes;
 mod rows;
 
 use anyhow::ensure;
-use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use nalgebra::{Matrix2, Quaternion, UnitQuaternion, Vector2, Vector3};
 use supple::estimate::{EncoderReading, ImuReading};
 use supple::policy::Agent;
 use supple::robot::{JOINTS, Joints};
@@ -250,27 +250,23 @@ fn physical(rows: &[(String, Row)], agent: &Agent) -> Vec<Finding> {
 /// joints are in the same proportion as in `wanted`; `None` if that explains little.
 fn effective_gains(rows: &[&Row], wanted: &[Joints; 2]) -> Option<[f64; 2]> {
     let part = |of: &Joints, joint: usize| if of[0] == 0.0 { 1.0 } else { of[joint] / of[0] };
-    let (mut a, mut b, mut square) = ([[0.0; 2]; 2], [0.0; 2], 0.0);
+    let (mut a, mut b, mut square) = (Matrix2::zeros(), Vector2::zeros(), 0.0);
     for pair in rows.windows(2) {
         for joint in 0..JOINTS {
             // The command of a row acts until the next.
-            let regressors = [
+            let regressors = Vector2::new(
                 part(&wanted[0], joint) * (pair[0].target[joint] - pair[1].q[joint]),
                 -part(&wanted[1], joint) * pair[1].dq[joint],
-            ];
+            );
             let torque = pair[1].tau[joint];
-            for i in 0..2 {
-                for k in 0..2 {
-                    a[i][k] += regressors[i] * regressors[k];
-                }
-                b[i] += regressors[i] * torque;
-            }
+            a += regressors * regressors.transpose();
+            b += regressors * torque;
             square += torque * torque;
         }
     }
-    let determinant = a[0][0] * a[1][1] - a[0][1] * a[1][0];
-    let gains = [(a[1][1] * b[0] - a[0][1] * b[1]) / determinant, (a[0][0] * b[1] - a[1][0] * b[0]) / determinant];
-    let explained = gains[0] * b[0] + gains[1] * b[1];
+    let determinant = a.m11 * a.m22 - a.m12 * a.m21;
+    let gains = [(a.m22 * b.x - a.m12 * b.y) / determinant, (a.m11 * b.y - a.m21 * b.x) / determinant];
+    let explained = gains[0] * b.x + gains[1] * b.y;
     (gains.iter().all(|gain| gain.is_finite()) && explained > 0.8 * square).then_some(gains)
 }
 

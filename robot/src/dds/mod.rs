@@ -96,14 +96,10 @@ impl Network {
     }
 }
 
-/// A message that arrived.
-#[derive(Debug, Clone)]
-pub struct Arrival<T> {
-    /// The message.
+/// A message that arrived, with its time and its writer.
+pub(crate) struct Arrival<T> {
     pub message: T,
-    /// Time of the arrival.
     pub at: Instant,
-    /// Identity of the writer.
     pub writer: WriterId,
 }
 
@@ -134,7 +130,7 @@ pub struct Publisher<T> {
 }
 
 /// Keeps a subscription alive.
-pub struct Subscription<T> {
+pub(crate) struct Subscription<T> {
     _reader: DataReader<T>,
 }
 
@@ -207,10 +203,7 @@ impl Node {
     }
 
     /// Calls `take` with every message of a topic, in a thread of DDS, until the subscription is dropped.
-    ///
-    /// # Errors
-    /// The topic exists with another type.
-    pub fn listen<T: TypeSupport + Send + Sync + 'static>(
+    pub(crate) fn listen<T: TypeSupport + Send + Sync + 'static>(
         &self,
         topic: &str,
         type_name: &str,

@@ -78,7 +78,6 @@ struct Name {
 }
 
 impl Mode {
-    /// Returns true if the robot's own controller has been released.
     pub fn is_released(&self) -> bool {
         self.0.is_empty()
     }
@@ -161,7 +160,6 @@ pub struct Client {
 }
 
 impl Client {
-    /// Opens the topics.
     pub fn new(node: &Node) -> anyhow::Result<Self> {
         let (sender, responses) = channel();
         let [requests, replies] = topics(SWITCHER);

@@ -46,7 +46,6 @@ struct Sockets {
 }
 
 impl Udp {
-    /// Opens the sockets.
     pub fn open(place: &Place) -> io::Result<Self> {
         let base = 7400 + 250 * place.domain;
         let bind = |port| UdpSocket::bind(SocketAddrV4::new(place.address, port));

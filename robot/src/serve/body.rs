@@ -87,9 +87,7 @@ pub fn configuration(mut config: Config, physics_hz: u32) -> anyhow::Result<Conf
 pub struct Tick {
     /// The frame that was completed, if any.
     pub frame: Option<Frame>,
-    /// Events of the script.
     pub events: Vec<Event>,
-    /// True if the script is over.
     pub is_over: bool,
     /// Motors at their torque limit: joint, commanded torque, limit [N·m].
     pub saturated: Option<(usize, f64, f64)>,
@@ -97,7 +95,6 @@ pub struct Tick {
 
 /// The simulated robot.
 pub struct Body {
-    /// The simulation.
     pub playback: Playback<'static>,
     commands: Arc<Mutex<[MotorCmd; JOINTS]>>,
     robot: Arc<Robot>,

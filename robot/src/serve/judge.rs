@@ -18,33 +18,21 @@ const LATE_S: f64 = 0.0125;
 /// The largest gains that make sense: a Go2 shakes long before [N·m/rad], [N·m·s/rad].
 const MAX_GAINS: [f32; 2] = [500.0, 50.0];
 
-/// Kinds of faults of a client.
+/// Kinds of faults of a client; commands with one up to `NotReleased` are refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
-    /// The checksum does not fit: refused.
     Checksum,
-    /// The head is not FE EF: refused.
     Head,
-    /// The level flag is not FF: refused.
     LevelFlag,
-    /// The mode of a motor is neither servo nor off: refused.
     Mode,
-    /// A number is not finite: refused.
     NotFinite,
-    /// A gain is negative or huge: refused.
     Gain,
-    /// The robot's own controller has not been released: refused.
     NotReleased,
-    /// Two writers command the motors.
     TwoWriters,
-    /// A command came late.
     Late,
-    /// No valid commands came for [`SILENCE_S`]: the motors damp.
     Silence,
-    /// A joint target is beyond the joint's range.
     JointRange,
-    /// A motor is at its torque limit.
     TorqueLimit,
 }
 
@@ -153,7 +141,6 @@ impl Judge {
         self.complain(Kind::TorqueLimit, text)
     }
 
-    /// Counts a complaint.
     fn complain(&mut self, kind: Kind, text: String) -> Complaint {
         *self.counts.entry(kind).or_default() += 1;
         Complaint { kind, text }

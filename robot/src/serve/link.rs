@@ -23,7 +23,6 @@ pub struct Link<T> {
 }
 
 impl<T> Link<T> {
-    /// Creates an empty connection.
     pub fn new(faults: Faults) -> Self {
         Link { faults, under_way: VecDeque::new() }
     }

@@ -28,7 +28,6 @@ pub struct Operator {
 /// The state that the operator sees.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sight {
-    /// Time \[s\].
     pub now_s: f64,
     /// Base height above the ground \[m\].
     pub height_m: f64,

@@ -141,7 +141,6 @@ impl Page {
         self.hold(None, body);
     }
 
-    /// Shows a text.
     pub fn notice(&mut self, text: String) {
         self.publisher.notice(text);
     }

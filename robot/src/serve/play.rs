@@ -47,35 +47,27 @@ const GIVE_UP_S: f64 = 0.05;
 /// Repeated complaints of one kind are printed no more often than this \[s\].
 const REPEAT_S: f64 = 2.0;
 
-/// Keeping of time.
+/// Keeping of time: the number of ticks, of those that began more than 2 ms late, and of those that were left out because the machine is
+/// too slow; and the latest begin of a tick \[s\].
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
-pub struct Pace {
-    /// Number of ticks.
-    pub ticks: u64,
-    /// Ticks that began more than 2 ms late.
-    pub late: u64,
-    /// Ticks that were left out, because the machine is too slow.
-    pub skipped: u64,
-    /// The latest begin of a tick \[s\].
-    pub worst_s: f64,
+struct Pace {
+    ticks: u64,
+    late: u64,
+    skipped: u64,
+    worst_s: f64,
 }
 
 /// The outcome of serving.
 pub struct Summary {
     /// The scenario; `None` for the plane without end.
-    pub scenario: Option<Scenario>,
-    /// Seed of everything random.
-    pub seed: u64,
-    /// Metrics of the scenario, if one began.
-    pub metrics: Vec<Metric>,
-    /// Events of the scenario.
-    pub events: Vec<Event>,
-    /// Faults of the client, by kind.
-    pub complaints: BTreeMap<Kind, u64>,
+    scenario: Option<Scenario>,
+    seed: u64,
+    metrics: Vec<Metric>,
+    events: Vec<Event>,
+    complaints: BTreeMap<Kind, u64>,
     /// Number of commands that were obeyed.
-    pub accepted: u64,
-    /// Keeping of time.
-    pub pace: Pace,
+    accepted: u64,
+    pace: Pace,
 }
 
 impl Summary {
