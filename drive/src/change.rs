@@ -11,7 +11,6 @@ use std::time::{Duration, Instant};
 use supple::mujoco;
 use supple::policy::AgentError;
 use supple::scenario::session::{AgentCache, AgentCacheError, LiveSession, SceneKind, Setup};
-use supple::util::terminal;
 
 use crate::message::{Built, Message, NewPolicy};
 use crate::server::start_thread;
@@ -75,8 +74,7 @@ impl Change {
         }
         let world = LiveSession::new(setup, &mut cache)?;
         cache.tidy(&world.setup().robots);
-        let files = world.setup().robots.iter().map(|seat| watch_run::file_of(&seat.policy)).collect();
-        Ok(Built { world, cache, files })
+        Ok(Built { files: watch_run::files_of(&world), world, cache })
     }
 }
 
@@ -162,15 +160,9 @@ impl Builder {
             // That of the scene before the present one.
             mujoco::release_memory();
             let result = change.build(setup, cache).map(Box::new).map_err(|error| {
-                let text = format!("{error:#}");
                 let is_harmless =
                     matches!(error.downcast_ref(), Some(AgentCacheError::Agent(AgentError::Unknown { .. })));
-                if !is_shared || is_harmless {
-                    return text;
-                }
-                // It may quote any file of this machine.
-                terminal::note(&text);
-                format!("{what} cannot be loaded: the terminal says why")
+                watch_run::told(&format!("{error:#}"), &what, is_shared && !is_harmless)
             });
             // The receiver is gone if the program is ending.
             let _ = to_robots.send(Message::Built { number, result });

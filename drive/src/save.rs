@@ -43,13 +43,11 @@ impl Minute {
         Minute { cast: Arc::clone(cast), steps: VecDeque::new() }
     }
 
-    /// Returns true if the steps are of these robots.
-    pub fn belongs_to(&self, cast: &Arc<Cast>) -> bool {
-        Arc::ptr_eq(&self.cast, cast)
-    }
-
-    /// Adds steps that began at a tick.
-    pub fn add(&mut self, tick: u64, steps: Vec<RobotStep>) {
+    /// Adds steps of these robots that began at a tick. A recording holds the frames of one set-up: others are dropped.
+    pub fn add(&mut self, cast: &Arc<Cast>, tick: u64, steps: Vec<RobotStep>) {
+        if !Arc::ptr_eq(&self.cast, cast) {
+            *self = Minute::new(cast);
+        }
         self.steps.extend(steps.into_iter().map(|played| (tick, played)));
     }
 
@@ -140,9 +138,8 @@ impl Saver {
 
     /// Saves a session, unless too many others wait.
     pub fn save(&self, save: Save) -> Result<(), String> {
-        self.to
-            .try_send(save)
-            .map_err(|_| "not saved, because others are being saved: try again in a moment".to_owned())
+        let full = |_| "not saved, because others are being saved: try again in a moment".to_owned();
+        self.to.try_send(save).map_err(full)
     }
 
     /// Waits for a moment until all sessions are written; recordings that are not whole are removed.
