@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use serde_json::json;
 use supple::robot::GRAVITY_M_S2;
-use supple::scenario::session::{Act, Input, LiveReadout, LiveSession, RobotStep, SceneKind};
+use supple::scenario::session::{Act, Input, LiveReadout, LiveSession, RobotStep, SceneKind, Seat};
 use supple::scenario::trace::EventKind;
 use supple::task::Command;
 use supple::util::numbers::short;
@@ -92,16 +92,11 @@ impl Shown for LiveSession {
 
     fn facts(&self) -> Vec<Facts> {
         let seats = self.setup().robots.iter().zip(self.reaches()).zip(self.falls()).zip(self.weights_and_periods());
-        let facts = seats.map(|(((seat, reach), falls), (weight_n, period_s))| Facts {
-            policy: seat.policy.clone(),
-            robot: seat.robot.clone(),
-            compliance: seat.compliance,
-            reach,
-            falls,
-            weight_n,
-            period_s,
-        });
-        facts.collect()
+        let facts = |(((seat, reach), falls), (weight_n, period_s)): (((&Seat, _), _), _)| {
+            let Seat { policy, robot, compliance, .. } = seat.clone();
+            Facts { policy, robot, compliance, reach, falls, weight_n, period_s }
+        };
+        seats.map(facts).collect()
     }
 }
 
@@ -126,16 +121,9 @@ impl Publisher {
     pub fn new(world: &impl Shown) -> Self {
         let shown = Snapshot::new(world.cast());
         let updates = Updates { state: watch::Sender::new(Arc::from("{}")), shown: watch::Sender::new(shown.clone()) };
-        let mut publisher = Publisher {
-            clock: Clock::new(world.tick()),
-            driver: Driver::default(),
-            meters: Vec::new(),
-            shown,
-            updates,
-            notices: VecDeque::new(),
-            noticed: 0,
-            is_stale: false,
-        };
+        let (clock, driver, notices) = (Clock::new(world.tick()), Driver::default(), VecDeque::new());
+        let mut publisher =
+            Publisher { clock, driver, meters: Vec::new(), shown, updates, notices, noticed: 0, is_stale: false };
         publisher.begin(world);
         publisher.publish(world);
         publisher
@@ -198,16 +186,13 @@ impl Publisher {
             }
             self.shown.beginnings[robot] += u64::from(played.is_beginning);
             if let Some(event) = played.events.last() {
-                let (count, last) = &mut self.shown.events[robot];
-                *count += 1;
-                *last = Some(event.clone());
+                self.shown.events[robot] = (self.shown.events[robot].0 + 1, Some(event.clone()));
             }
             for event in played.events.iter().filter(|event| event.kind != EventKind::Disturbance) {
                 let title = world.facts()[robot].title(&self.shown.cast.names[robot]);
                 let text = format!("{title}: {}", event.text);
                 // A policy that fails does so in every step.
-                let is_known = event.kind == EventKind::Fault && self.notices.contains(&text);
-                if !is_known {
+                if event.kind != EventKind::Fault || !self.notices.contains(&text) {
                     self.notice(text);
                 }
             }

@@ -4,8 +4,8 @@ use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, SyncSender};
 
-use anyhow::Context;
 use supple::scenario::session::{Act, Input, RobotStep, SavedSession, SessionReplay};
+use supple::util::files::FileError;
 use supple::util::terminal;
 use supple_record::{RecordError, Recorder, Sink, check_name};
 
@@ -41,10 +41,8 @@ pub fn play(session: SavedSession, recording: Option<&Path>, mut after_step: imp
         check_name(path)?;
         let set_ups = session.inputs().iter().filter(|(_, input)| matches!(input, Input::Setup(_))).count();
         if let Some(taken) = (1..set_ups).map(|count| numbered(path, count)).find(|path| path.exists()) {
-            anyhow::bail!(
-                "{} exists already and would be replaced by the recording of another set-up: remove it, or choose another name",
-                taken.display()
-            );
+            let problem = "exists already and would be replaced by the recording of another set-up";
+            anyhow::bail!("{} {problem}: remove it, or choose another name", taken.display());
         }
     }
     let mut playback = session.play()?;
@@ -62,8 +60,7 @@ pub fn play(session: SavedSession, recording: Option<&Path>, mut after_step: imp
             if let (None, Some(path)) = (&recorder, recording) {
                 let path = numbered(path, replayed.recordings.len());
                 if !replayed.recordings.is_empty() {
-                    File::create_new(&path)
-                        .with_context(|| format!("cannot create the recording {}", path.display()))?;
+                    File::create_new(&path).map_err(FileError::of("cannot create the recording", &path))?;
                 }
                 recorder = Some(Cast::new(&playback.world).record(Sink::File(path.clone()), false)?);
                 replayed.recordings.push(path);
@@ -115,14 +112,11 @@ pub fn watch(
         let tick = playback.world.tick();
         match publisher.driver.take(message) {
             Heard::Other(Message::Stop) => return Ok(()),
-            Heard::Request(request) => match request {
-                Request::Pause(is_paused) => publisher.clock.pause(is_paused, tick),
-                Request::Speed(speed) => publisher.clock.set_speed(speed, tick),
-                Request::Act(Act::Reset) if !is_loading => match rewind(path, to_self.clone()) {
-                    Ok(()) => is_loading = true,
-                    Err(error) => publisher.notice(format!("cannot start over: {error:#}")),
-                },
-                _ => {}
+            Heard::Request(Request::Pause(is_paused)) => publisher.clock.pause(is_paused, tick),
+            Heard::Request(Request::Speed(speed)) => publisher.clock.set_speed(speed, tick),
+            Heard::Request(Request::Act(Act::Reset)) if !is_loading => match rewind(path, to_self.clone()) {
+                Ok(()) => is_loading = true,
+                Err(error) => publisher.notice(format!("cannot start over: {error:#}")),
             },
             Heard::Other(Message::Rewound(result)) => {
                 is_loading = false;
@@ -139,7 +133,7 @@ pub fn watch(
                 }
             }
             Heard::Other(Message::Notice(text)) => publisher.notice(text),
-            Heard::Released | Heard::Nothing | Heard::Other(_) => {}
+            Heard::Request(_) | Heard::Released | Heard::Nothing | Heard::Other(_) => {}
         }
         publisher.publish(&playback.world);
     }

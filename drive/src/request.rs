@@ -64,11 +64,9 @@ impl Request {
         let request = serde_json::from_str(text)
             .map_err(|error| format!("it is no request of a page: {}", echo(&error.to_string())))?;
         // JSON has no infinity, but 1e999 is read as one.
-        match &request {
+        match request {
             Request::Act(act) if !act.is_finite() => Err("a number is out of range".to_owned()),
-            Request::Speed(speed) if !(0.05..=1.0).contains(speed) => {
-                Err(format!("the speed is {speed}, expected 0.05 to 1"))
-            }
+            Request::Speed(x) if !(0.05..=1.0).contains(&x) => Err(format!("the speed is {x}, expected 0.05 to 1")),
             _ => Ok(request),
         }
     }

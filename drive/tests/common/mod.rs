@@ -25,13 +25,9 @@ pub struct Drive {
 impl Drive {
     /// Starts the program in a folder.
     pub fn start(folder: &Path, arguments: &[&str]) -> Drive {
-        let mut child = Command::new(env!("CARGO_BIN_EXE_drive"))
-            .args(["--no-open", "--port", "0"])
-            .args(arguments)
-            .current_dir(folder)
-            .stdout(Stdio::piped())
-            .spawn()
-            .unwrap();
+        let mut command = Command::new(env!("CARGO_BIN_EXE_drive"));
+        command.args(["--no-open", "--port", "0"]).args(arguments).current_dir(folder).stdout(Stdio::piped());
+        let mut child = command.spawn().unwrap();
         let mut url = String::new();
         BufReader::new(child.stdout.take().unwrap()).read_line(&mut url).unwrap();
         let (host, token) = url.trim().strip_prefix("http://").unwrap().split_once("/?token=").unwrap();
@@ -186,12 +182,8 @@ pub fn start(arguments: &[&str]) -> (tempfile::TempDir, Drive, Page) {
 
 /// Replays a session with the program, and returns its output.
 pub fn replay(folder: &Path, session: &str, arguments: &[&str]) -> Output {
-    let program = Command::new(env!("CARGO_BIN_EXE_drive"))
-        .args(["--replay", session, "--headless"])
-        .args(arguments)
-        .current_dir(folder)
-        .output();
-    program.unwrap()
+    let mut program = Command::new(env!("CARGO_BIN_EXE_drive"));
+    program.args(["--replay", session, "--headless"]).args(arguments).current_dir(folder).output().unwrap()
 }
 
 pub fn text(bytes: &[u8]) -> String {
