@@ -89,10 +89,12 @@ pub(super) fn balls_path(root: &EntityPath) -> EntityPath {
 /// Returns true if the scene has more than the robot and the ground.
 pub(super) fn has_obstacles(model: &Model) -> Result<bool, RecordError> {
     let trunk = model.id(Object::Body, "trunk")?;
-    let is_obstacle = |geom: Geom| {
-        !matches!(geom.shape, GeomShape::Plane | GeomShape::HeightField(_)) && !model.is_below(geom.body, trunk)
-    };
-    Ok((0..model.count(Object::Geom)).any(|id| is_obstacle(model.geom(id))))
+    let mut geoms = (0..model.count(Object::Geom)).map(|id| model.geom(id));
+    Ok(geoms.any(|geom| !is_ground(&geom) && !model.is_below(geom.body, trunk)))
+}
+
+fn is_ground(geom: &Geom) -> bool {
+    matches!(geom.shape, GeomShape::Plane | GeomShape::HeightField(_))
 }
 
 /// Returns the path of an entity below another one; its name may contain any character.
@@ -103,7 +105,7 @@ pub(super) fn child(parent: &EntityPath, name: &str) -> EntityPath {
 /// Returns the drawn geometries of a body: its visual ones, or the collision geometries if it has no visual ones.
 fn looks_of(body: usize, geoms: &[Geom]) -> Vec<&Geom> {
     let solid = |geom: &&Geom| {
-        let flat = matches!(geom.shape, GeomShape::Plane | GeomShape::HeightField(_) | GeomShape::Mesh(_));
+        let flat = is_ground(geom) || matches!(geom.shape, GeomShape::Mesh(_));
         geom.body == body && !flat && geom.rgba[3] > 0.0
     };
     let (shown, hidden): (Vec<&Geom>, Vec<&Geom>) =
@@ -117,7 +119,7 @@ pub(super) fn colours(model: &Model, tint: Option<Rgb>) -> supple::mujoco::Resul
     let trunk = model.id(Object::Body, "trunk")?;
     let geoms: Vec<Geom> = (0..model.count(Object::Geom)).map(|id| model.geom(id)).collect();
     let rgba = |geom: &Geom| {
-        if matches!(geom.shape, GeomShape::Plane | GeomShape::HeightField(_)) {
+        if is_ground(geom) {
             return Some(geom.rgba);
         }
         looks_of(geom.body, &geoms).into_iter().find(|drawn| std::ptr::eq(*drawn, geom))?;
@@ -129,13 +131,10 @@ pub(super) fn colours(model: &Model, tint: Option<Rgb>) -> supple::mujoco::Resul
 
 /// Returns the drawn colour: light parts take on some of the tint, dark parts keep their colour.
 fn colour([red, green, blue, alpha]: [f32; 4], tint: Option<Rgb>) -> Color {
-    let lightness = red.max(green).max(blue);
-    let share = if lightness > 0.6 { TINT_SHARE } else { 0.0 };
+    let share = if red.max(green).max(blue) > 0.6 { TINT_SHARE } else { 0.0 };
     let mixed = |own: f32, tint: u8| own + share * (f32::from(tint) / 255.0 * 1.1 - own);
-    let [red, green, blue] = match tint {
-        Some(tint) => [mixed(red, tint[0]), mixed(green, tint[1]), mixed(blue, tint[2])],
-        None => [red, green, blue],
-    };
+    let tinted = tint.map(|tint| [mixed(red, tint[0]), mixed(green, tint[1]), mixed(blue, tint[2])]);
+    let [red, green, blue] = tinted.unwrap_or([red, green, blue]);
     let byte = |value: f32| (value.clamp(0.0, 1.0) * 255.0).round() as u8;
     Color::from_unmultiplied_rgba(byte(red), byte(green), byte(blue), byte(alpha))
 }

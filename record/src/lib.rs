@@ -139,10 +139,10 @@ impl Recorder {
 
     fn on(stream: Stream, robots: &[RobotView<'_>]) -> Result<Self, RecordError> {
         let names: Vec<&str> = robots.iter().map(|robot| robot.name).collect();
-        let obstacles =
-            robots.iter().map(|robot| geometry::has_obstacles(robot.model)).collect::<Result<Vec<_>, _>>()?;
-        let estimates = robots.iter().any(|robot| robot.estimates);
-        let shown = Shown { obstacles: obstacles.contains(&true), estimates };
+        let mut shown = Shown { obstacles: false, estimates: robots.iter().any(|robot| robot.estimates) };
+        for robot in robots {
+            shown.obstacles |= geometry::has_obstacles(robot.model)?;
+        }
         blueprint::send(stream.recording()?, &names, shown, stream.is_live)?;
         let robots = robots.iter().enumerate();
         let robots =

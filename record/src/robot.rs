@@ -55,7 +55,11 @@ impl Robot {
         stream.log_static(&root, &rerun::ViewCoordinates::RIGHT_HAND_Z_UP())?;
         let parts = log_model(stream, &root, model, view.tint)?;
         let patches = log_grounds(stream, &root, model, view.ground)?;
-        let robot = Robot {
+        log_camera_size(stream, view.name)?;
+        if !stream.is_live {
+            plots::log_styles(stream, view.name, colour, is_first)?;
+        }
+        Ok(Robot {
             name: view.name.to_owned(),
             is_first,
             shown,
@@ -69,12 +73,7 @@ impl Robot {
             camera: None,
             stage: None,
             root,
-        };
-        robot.log_camera_size(stream)?;
-        if !stream.is_live {
-            plots::log_styles(stream, view.name, colour, is_first)?;
-        }
-        Ok(robot)
+        })
     }
 
     /// Logs a frame at the current time.
@@ -139,12 +138,11 @@ impl Robot {
     fn log_poses(&mut self, stream: &Stream, frame: &Frame) -> Result<(), RecordError> {
         for ((body, path), last) in self.parts.bodies.iter().zip(&mut self.last_poses) {
             let pose = frame.bodies[*body];
-            if last.is_some_and(|last| is_same(&last, &pose)) {
-                continue;
+            if !last.is_some_and(|last| is_same(&last, &pose)) {
+                *last = Some(pose);
+                let [w, x, y, z] = pose.quaternion;
+                stream.place(path, pose.position, Some(Quaternion::from_xyzw([x, y, z, w])))?;
             }
-            *last = Some(pose);
-            let [w, x, y, z] = pose.quaternion;
-            stream.place(path, pose.position, Some(Quaternion::from_xyzw([x, y, z, w])))?;
         }
         Ok(())
     }
@@ -159,8 +157,7 @@ impl Robot {
             let position = frame.bodies[*body].position;
             // The NaN of the beginning counts as moved.
             if last[0].is_nan() || distance(position, *last) > LEAST_BALL_CHANGE_M {
-                *last = position;
-                moved = true;
+                (*last, moved) = (position, true);
             }
         }
         if moved {
@@ -168,17 +165,6 @@ impl Robot {
             stream.log(&balls_path(&self.root), &positions)?;
         }
         Ok(())
-    }
-
-    /// Logs two invisible points, whose distance sets the distance of the camera.
-    fn log_camera_size(&self, stream: &Stream) -> Result<(), RecordError> {
-        // The viewer goes to 1.5 times the radius of the box around the entity.
-        let half = EYE_DISTANCE_M / 1.5;
-        let points = [[[0.0, 0.0, -half]; 2], [[0.0, 0.0, half]; 2]];
-        let size = LineStrips3D::new(points)
-            .with_radii([Radius::new_scene_units(0.0)])
-            .with_colors([Color::from_unmultiplied_rgba(0, 0, 0, 0)]);
-        stream.log_static(&camera_path(&self.name), &size)
     }
 
     fn log_camera(&mut self, stream: &Stream, time_s: f64, target: [f32; 3]) -> Result<(), RecordError> {
@@ -192,6 +178,17 @@ impl Robot {
         self.camera = Some((time_s, position));
         stream.place(&camera_path(&self.name), position, None)
     }
+}
+
+/// Logs two invisible points, whose distance sets the distance of the camera.
+fn log_camera_size(stream: &Stream, robot: &str) -> Result<(), RecordError> {
+    // The viewer goes to 1.5 times the radius of the box around the entity.
+    let half = EYE_DISTANCE_M / 1.5;
+    let points = [[[0.0, 0.0, -half]; 2], [[0.0, 0.0, half]; 2]];
+    let size = LineStrips3D::new(points)
+        .with_radii([Radius::new_scene_units(0.0)])
+        .with_colors([Color::from_unmultiplied_rgba(0, 0, 0, 0)]);
+    stream.log_static(&camera_path(robot), &size)
 }
 
 /// Returns the path of a robot, its ground and its obstacles.

@@ -191,10 +191,8 @@ impl Stream {
 
     /// Logs data at the current time.
     pub(super) fn log(&self, path: &EntityPath, data: &impl AsComponents) -> Result<(), RecordError> {
-        if self.is_live {
-            return self.log_static(path, data);
-        }
-        Ok(self.recording()?.log(path.clone(), data)?)
+        let recording = self.recording()?;
+        Ok(if self.is_live { recording.log_static(path.clone(), data) } else { recording.log(path.clone(), data) }?)
     }
 
     /// Logs position and orientation of an entity.
@@ -239,20 +237,14 @@ impl Stream {
 
     /// Counts a frame, and flushes regularly to check that the data have arrived.
     pub(super) fn end_frame(&mut self) -> Result<(), RecordError> {
-        self.frames += 1;
-        if self.frames < self.frames_per_flush {
-            return Ok(());
-        }
-        self.frames = 0;
-        self.flush()
+        self.frames = (self.frames + 1) % self.frames_per_flush;
+        if self.frames == 0 { self.flush() } else { Ok(()) }
     }
 
     fn flush(&mut self) -> Result<(), RecordError> {
         let flushed = self.recording()?.flush_with_timeout(PATIENCE);
         flushed.map_err(|error| {
-            if let Some(broken) = self.recording.take() {
-                drop_in_background(broken);
-            }
+            self.recording.take().map(drop_in_background);
             self.unwritten(&error)
         })
     }
@@ -266,12 +258,10 @@ impl Stream {
     pub(super) fn finish(mut self) -> Result<(), RecordError> {
         self.flush()?;
         let failed = |reason: &str| RecordError::Write(self.target.clone(), reason.to_owned());
-        if let Some(recording) = self.recording.take() {
-            let closed = drop_in_background(recording);
-            // Without a thread of its own, it was closed at once.
-            if closed.recv_timeout(PATIENCE) == Err(RecvTimeoutError::Timeout) {
-                return Err(failed("it could not be closed"));
-            }
+        let closed = self.recording.take().map(drop_in_background);
+        // Without a thread of its own, it was closed at once.
+        if closed.is_some_and(|closed| closed.recv_timeout(PATIENCE) == Err(RecvTimeoutError::Timeout)) {
+            return Err(failed("it could not be closed"));
         }
         match &self.file {
             Some(path) if !has_footer(path) => Err(failed("its end could not be written; is the disk full?")),
@@ -290,12 +280,8 @@ fn serve(builder: RecordingStreamBuilder, port: u16) -> Result<(RecordingStream,
     }
     let options = ServerOptions { memory_limit: MemoryLimit::from_fraction_of_total(0.25), ..ServerOptions::default() };
     let recording = builder.batcher_config(LIVE).serve_grpc_opts(LOCAL, data_port, options)?;
-    let page = WebViewerConfig {
-        bind_ip: LOCAL.to_owned(),
-        web_port: port.into(),
-        open_browser: false,
-        ..WebViewerConfig::default()
-    };
+    let (bind_ip, web_port) = (LOCAL.to_owned(), port.into());
+    let page = WebViewerConfig { bind_ip, web_port, open_browser: false, ..WebViewerConfig::default() };
     let server = page.host_web_viewer().map_err(|error| RecordError::Serve(port, error.to_string()))?;
     Ok((recording, Box::new(server)))
 }

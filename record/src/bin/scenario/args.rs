@@ -100,9 +100,7 @@ pub enum What {
 pub fn parse() -> anyhow::Result<Args> {
     let line: Vec<OsString> = std::env::args_os().collect();
     let args = from_line(command(None)?, &line);
-    let (Some(file), What::Play(scenario)) = (&args.params, &args.what) else {
-        return Ok(args);
-    };
+    let (Some(file), What::Play(scenario)) = (&args.params, &args.what) else { return Ok(args) };
     let text = Text::read(file).with_context(|| format!("cannot read {}", file.display()))?;
     let parameters = flat_parameters(&text)?;
     Ok(from_line(command(Some((scenario.name(), parameters)))?, &line))
@@ -120,25 +118,14 @@ type Parameters<'a> = (&'a str, Vec<(String, Option<String>)>);
 fn command(file: Option<Parameters<'_>>) -> anyhow::Result<clap::Command> {
     let mut command = Args::command();
     for (name, text) in DEFAULTS {
-        command = with_defaults(command, name, flat_parameters(&Text::new(name, text))?)?;
+        command = with_defaults(command, (name, flat_parameters(&Text::new(name, text))?))?;
     }
-    match file {
-        Some((name, parameters)) => with_defaults(command, name, parameters),
-        None => Ok(command),
-    }
+    if let Some(file) = file { with_defaults(command, file) } else { Ok(command) }
 }
 
-fn with_defaults(
-    command: clap::Command,
-    scenario: &str,
-    parameters: Vec<(String, Option<String>)>,
-) -> anyhow::Result<clap::Command> {
-    let known: Vec<String> = command
-        .find_subcommand(scenario)
-        .into_iter()
-        .flat_map(clap::Command::get_arguments)
-        .map(|argument| argument.get_id().to_string())
-        .collect();
+fn with_defaults(command: clap::Command, (scenario, parameters): Parameters<'_>) -> anyhow::Result<clap::Command> {
+    let arguments = command.find_subcommand(scenario).into_iter().flat_map(clap::Command::get_arguments);
+    let known: Vec<String> = arguments.map(|argument| argument.get_id().to_string()).collect();
     if let Some((unknown, _)) = parameters.iter().find(|(name, _)| !known.contains(name)) {
         anyhow::bail!("scenario {scenario} has no parameter '{unknown}'; it has: {}", known.join(", "));
     }

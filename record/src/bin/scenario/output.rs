@@ -201,9 +201,9 @@ pub fn write_csv(file: &mut dyn Write, outcomes: &[Outcome<'_>]) -> io::Result<(
                 [x, y, sensed.height_m, u, v, w].map(|value| value.to_string())
             });
             let felt = frame.felt.map(|felt| {
-                let [forward, left, true_forward, true_left] =
-                    [felt.force[0], felt.force[1], felt.true_force[0], felt.true_force[1]].map(|it| it.to_string());
-                [forward, left, true_forward, true_left, felt.doubt.is_none().to_string()]
+                let ([forward, left, _], [true_forward, true_left, _]) = (felt.force, felt.true_force);
+                let [a, b, c, d] = [forward, left, true_forward, true_left].map(|force| force.to_string());
+                [a, b, c, d, felt.doubt.is_none().to_string()]
             });
             table.write_record(estimated.unwrap_or_default().into_iter().chain(felt.unwrap_or_default()))?;
         }
