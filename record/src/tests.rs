@@ -21,15 +21,11 @@ use supple::task::{Command, Stage};
 static FLAT: LazyLock<Scene> = LazyLock::new(|| Scene::flat(Robot::load("go1").unwrap(), 1.0 / 240.0));
 
 fn obstacles() -> String {
-    let ball = |k: usize| {
-        format!(
-            r#"<body name="ball{k}" pos="1 {k} 1"><freejoint/><geom name="ball{k}" type="sphere" size="0.1"/></body>"#
-        )
+    let body = |name: &str, place: &str, shape: &str| {
+        format!(r#"<body name="{name}" pos="{place}"><freejoint/><geom name="{name}" {shape}/></body>"#)
     };
-    let balls: String = (0..5).map(ball).collect();
-    format!(
-        r#"{balls}<body name="crate" pos="2 0 1"><freejoint/><geom name="crate" type="box" size="0.1 0.1 0.1"/></body>"#
-    )
+    let ball = |k: usize| body(&format!("ball{k}"), &format!("1 {k} 1"), r#"type="sphere" size="0.1""#);
+    (0..5).map(ball).chain([body("crate", "2 0 1", r#"type="box" size="0.1 0.1 0.1""#)]).collect()
 }
 
 fn scene(ground: Ground) -> Scene {

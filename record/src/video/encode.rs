@@ -76,8 +76,8 @@ impl Encoder {
             Format::WebP => {
                 let encoding_config = Some(EncodingConfig::new_lossy(WEBP_QUALITY));
                 let options = EncoderOptions { encoding_config, ..EncoderOptions::default() };
-                let dimensions = (width as u32, height as u32);
-                Kind::WebP(Box::new(webp_animation::Encoder::new_with_options(dimensions, options).map_err(failed)?))
+                let webp = webp_animation::Encoder::new_with_options((width as u32, height as u32), options);
+                Kind::WebP(Box::new(webp.map_err(failed)?))
             }
             Format::Gif => {
                 let mut gif = gif::Encoder::new(Vec::new(), width as u16, height as u16, &[]).map_err(failed)?;

@@ -136,13 +136,11 @@ impl Video {
         let size = panel.picture_size();
         // A thread for each robot, on which its renderer stays.
         std::thread::scope(|scope| {
-            let draw = |(robot, trace): &(RobotView<'_>, &Trace), to: SyncSender<_>| {
-                let drawn = View::new(robot, trace, size).and_then(|mut view| {
-                    // Nothing takes the pictures of a video that has failed.
-                    (1..=count)
-                        .try_for_each(|frame| to.send(view.picture(time_s(frame))).map_err(|_| VideoError::Stopped))
-                });
-                drawn.unwrap_or_else(|error| drop(to.send(Err(error))));
+            let draw = |(robot, trace): &(RobotView<'_>, &Trace), to: SyncSender<_>| match View::new(robot, trace, size)
+            {
+                // Nothing takes the pictures of a video that has failed.
+                Ok(mut view) => drop((1..=count).try_for_each(|frame| to.send(view.picture(time_s(frame))))),
+                Err(error) => drop(to.send(Err(error))),
             };
             let start = |robot| {
                 let (to, from) = sync_channel(2);

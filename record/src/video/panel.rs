@@ -71,8 +71,7 @@ impl<'a> Panel<'a> {
 
     /// Returns width and height of a robot's picture \[px\].
     pub(super) fn picture_size(&self) -> [usize; 2] {
-        let [width, height] = self.size;
-        let count = self.curves.len().max(1);
+        let ([width, height], count) = (self.size, self.curves.len().max(1));
         let strips = SHARES.map(|share| (share * height as f32) as usize);
         [(width - self.gap() * (count - 1)) / count, height - strips[0] - strips[1]]
     }
@@ -87,8 +86,7 @@ impl<'a> Panel<'a> {
         for (index, (curve, picture)) in self.curves.iter().zip(pictures).enumerate() {
             let left = index * (width + self.gap());
             frame.paste([left, top], width, picture);
-            let caption = curve.events.iter().rev().find(|event| is_shown(event, time_s));
-            if let Some(event) = caption {
+            if let Some(event) = curve.events.iter().rev().find(|event| is_shown(event, time_s)) {
                 self.draw_caption(&mut frame, [left as f32, (top + height) as f32], width as f32, event);
             }
         }
@@ -139,12 +137,9 @@ impl<'a> Panel<'a> {
         }
         let heading = format!("off the commanded velocity by [m/s], mean over {BRIEF_S} s");
         base.text(fonts, [16.0 * unit, top - 12.0 * unit], Anchor::Left, self.style(15.0, INK, false), &heading);
-        let mut disturbances: Vec<f64> = robots
-            .iter()
-            .flat_map(|(_, trace)| &trace.events)
-            .filter(|event| event.kind == EventKind::Disturbance)
-            .map(|event| event.time_s)
-            .collect();
+        let events = robots.iter().flat_map(|(_, trace)| &trace.events);
+        let disturbances = events.filter(|event| event.kind == EventKind::Disturbance).map(|event| event.time_s);
+        let mut disturbances: Vec<f64> = disturbances.collect();
         disturbances.dedup();
         for time_s in disturbances {
             let x = self.at([time_s as f32, 0.0])[0];
@@ -191,10 +186,9 @@ fn deviation(frames: &[Frame]) -> Vec<[f32; 2]> {
     let value = |index: usize| {
         let from_s = frames[index].time_s - BRIEF_S + 1e-6;
         let last = frames[..=index].iter().rev().take_while(|frame| frame.time_s > from_s);
-        let (sum, count) = last
-            .map(error)
-            .fold(([0.0; 2], 0.0), |(sum, count), error| ([sum[0] + error[0], sum[1] + error[1]], count + 1.0));
-        [frames[index].time_s as f32, (sum[0].hypot(sum[1]) / count) as f32]
+        let add = |([x, y], count): ([f64; 2], f64), [dx, dy]: [f64; 2]| ([x + dx, y + dy], count + 1.0);
+        let ([forward, left], count) = last.map(error).fold(([0.0; 2], 0.0), add);
+        [frames[index].time_s as f32, (forward.hypot(left) / count) as f32]
     };
     (0..frames.len()).map(value).collect()
 }

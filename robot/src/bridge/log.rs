@@ -82,8 +82,8 @@ impl Row {
     pub fn from_numbers(numbers: &[f64]) -> Option<Self> {
         let mut rest = numbers;
         fn take<const N: usize>(rest: &mut &[f64]) -> Option<[f64; N]> {
-            let (first, others) = rest.split_first_chunk::<N>()?;
-            *rest = others;
+            let first;
+            (first, *rest) = rest.split_first_chunk()?;
             Some(*first)
         }
         let [time_s, tick_s] = take(&mut rest)?;

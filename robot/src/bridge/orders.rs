@@ -112,12 +112,9 @@ impl RemoteOrders {
             (pressed(Button::A), Wish::Policy),
             (pressed(Button::X), Wish::Lie),
         ];
-        let mut orders: Vec<Order> =
-            wishes.into_iter().filter(|(given, _)| *given).map(|(_, wish)| Order::Wish(wish)).collect();
-        if (remote.left, remote.right) != (last.left, last.right) {
-            orders.push(Order::Command(full.command(remote)));
-        }
-        orders
+        let wishes = wishes.into_iter().filter(|(given, _)| *given).map(|(_, wish)| Order::Wish(wish));
+        let has_moved = (remote.left, remote.right) != (last.left, last.right);
+        wishes.chain(has_moved.then(|| Order::Command(full.command(remote)))).collect()
     }
 }
 
@@ -125,9 +122,11 @@ impl RemoteOrders {
 mod tests {
     use super::*;
 
+    const FULL: FullSticks = FullSticks([1.0, 0.5, 0.5]);
+
     #[test]
     fn lines_of_json_are_orders_and_others_are_refused() {
-        let from_line = |line: &str| Order::from_line(line, &FullSticks([1.0, 0.5, 0.5]));
+        let from_line = |line: &str| Order::from_line(line, &FULL);
         assert_eq!(from_line(r#"{"do": "stand"}"#).unwrap(), Order::Wish(Wish::Stand));
         assert_eq!(from_line("\u{feff}{\"do\": \"damp\"}").unwrap(), Order::Wish(Wish::Damp));
         let command = Command { compliance: Some(0.03), ..Command::velocity(0.5, 0.0, -0.1) };
@@ -156,22 +155,22 @@ mod tests {
 
     #[test]
     fn button_counts_once_until_it_is_released() {
-        let (mut orders, full) = (RemoteOrders::default(), FullSticks([1.0, 0.5, 0.5]));
+        let mut orders = RemoteOrders::default();
         let pressed = Remote::default().with(Button::Start);
-        assert_eq!(orders.take(&pressed, &full), [Order::Wish(Wish::Stand)]);
-        assert_eq!(orders.take(&pressed, &full), []);
-        orders.take(&Remote::default(), &full);
-        assert_eq!(orders.take(&pressed, &full), [Order::Wish(Wish::Stand)]);
+        assert_eq!(orders.take(&pressed, &FULL), [Order::Wish(Wish::Stand)]);
+        assert_eq!(orders.take(&pressed, &FULL), []);
+        orders.take(&Remote::default(), &FULL);
+        assert_eq!(orders.take(&pressed, &FULL), [Order::Wish(Wish::Stand)]);
         let stop = Remote::default().with(Button::L2).with(Button::B);
-        assert_eq!(orders.take(&stop, &full), [Order::Wish(Wish::Damp)]);
+        assert_eq!(orders.take(&stop, &FULL), [Order::Wish(Wish::Damp)]);
     }
 
     #[test]
     fn sticks_at_rest_leave_the_command() {
-        let (mut orders, full) = (RemoteOrders::default(), FullSticks([1.0, 0.5, 0.5]));
-        assert_eq!(orders.take(&Remote { left: [0.04, -0.03], ..Remote::default() }, &full), []);
+        let mut orders = RemoteOrders::default();
+        assert_eq!(orders.take(&Remote { left: [0.04, -0.03], ..Remote::default() }, &FULL), []);
         let ahead = Remote { left: [0.0, 0.5], ..Remote::default() };
-        assert_eq!(orders.take(&ahead, &full), [Order::Command(Command::velocity(0.5, 0.0, 0.0))]);
-        assert_eq!(orders.take(&ahead, &full), []);
+        assert_eq!(orders.take(&ahead, &FULL), [Order::Command(Command::velocity(0.5, 0.0, 0.0))]);
+        assert_eq!(orders.take(&ahead, &FULL), []);
     }
 }

@@ -51,16 +51,10 @@ impl Perception {
         let fault = |error: &dyn std::fmt::Display| Fault::Estimate { reason: error.to_string() };
         self.touch(&reading.encoders, targets, dt_s);
         self.before = Some(reading.encoders);
-        let estimate = self
-            .estimator
-            .update(Some(&reading.imu), Some(&reading.encoders), self.touching, dt_s)
-            .map_err(|error| fault(&error))?;
-        let felt = ForceReading {
-            imu: reading.imu,
-            encoders: reading.encoders,
-            torques: reading.torques,
-            world_from_base: estimate.world_from_base,
-        };
+        let Reading { imu, encoders, torques, .. } = *reading;
+        let estimate = self.estimator.update(Some(&imu), Some(&encoders), self.touching, dt_s);
+        let world_from_base = estimate.map_err(|error| fault(&error))?.world_from_base;
+        let felt = ForceReading { imu, encoders, torques, world_from_base };
         self.forces.update(&felt, dt_s).map_err(|error| fault(&error))?;
         Ok(())
     }
@@ -73,11 +67,9 @@ impl Perception {
         let mut at_s = if self.before.is_some() { tick_s - self.since_contact_s } else { dt_s };
         while at_s <= dt_s + 1e-12 {
             let part = at_s / dt_s;
-            let mix = |a: &Joints, b: &Joints| -> Joints {
-                std::array::from_fn(|joint| a[joint] + part * (b[joint] - a[joint]))
-            };
-            let reading =
-                EncoderReading { angles: mix(&before.angles, &now.angles), rates: mix(&before.rates, &now.rates) };
+            let [angles, rates] = [(&before.angles, &now.angles), (&before.rates, &now.rates)]
+                .map(|(a, b)| std::array::from_fn(|joint| a[joint] + part * (b[joint] - a[joint])));
+            let reading = EncoderReading { angles, rates };
             self.touching = self.contacts.update(&reading, targets);
             at_s += tick_s;
         }

@@ -32,13 +32,11 @@ pub struct Check {
 /// Checks a log; returns true if it fits.
 pub fn run(args: &Check) -> anyhow::Result<bool> {
     let agent = shipped::find(&args.policy)?;
-    let columns = match &args.columns {
-        Some(path) => {
-            let text = yaml::Text::read(path).with_context(|| format!("cannot read {}", path.display()))?;
-            yaml::layered::<Columns>(&[text])?
-        }
-        None => Columns::default(),
-    };
+    let mut columns = Columns::default();
+    if let Some(path) = &args.columns {
+        let text = yaml::Text::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+        columns = yaml::layered(&[text])?;
+    }
     let verdict = check(&LogRows::read(&args.log, &columns)?, &agent, args.latency_s)?;
     let Verdict { at_first_rad, at_last_rad, findings } = &verdict;
     terminal::print(format_args!("replayed and sent joint targets differ by {at_first_rad:.4} rad\n"))?;
