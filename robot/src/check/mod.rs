@@ -119,9 +119,8 @@ struct Period(f64);
 impl Period {
     fn of(rows: &[(String, Row)]) -> Self {
         let acts = |pair: &&[(String, Row)]| pair.iter().all(|(phase, _)| phase == "policy");
-        let mut steps: Vec<f64> =
-            rows.windows(2).filter(acts).map(|pair| pair[1].1.time_s - pair[0].1.time_s).collect();
-        steps.retain(|step| *step > 0.0);
+        let steps = rows.windows(2).filter(acts).map(|pair| pair[1].1.time_s - pair[0].1.time_s);
+        let mut steps: Vec<f64> = steps.filter(|step| *step > 0.0).collect();
         steps.sort_by(f64::total_cmp);
         Period(steps.get(steps.len() / 2).map_or(0.002, |step| step.clamp(1e-4, 0.1)))
     }
@@ -140,14 +139,13 @@ fn difference(replayed: &[(Joints, Joints)], delay: usize, period: Period) -> f6
     let square = |a: f64, b: f64| if (a - b).abs() < 10.0 { (a - b).powi(2) } else { 100.0 };
     // The delay line is full of the stance at first.
     let settled = replayed.iter().zip(replayed.iter().skip(delay)).skip(period.rows(LONGEST_DELAY_S));
-    let rows: Vec<f64> = settled
-        .map(|((wanted, _), (_, sent))| {
-            wanted.iter().zip(sent).map(|(a, b)| square(*a, *b)).sum::<f64>() / JOINTS as f64
-        })
-        .collect();
+    let squares = |wanted: &Joints, sent: &Joints| {
+        wanted.iter().zip(sent).map(|(a, b)| square(*a, *b)).sum::<f64>() / JOINTS as f64
+    };
+    let rows: Vec<f64> = settled.map(|((wanted, _), (_, sent))| squares(wanted, sent)).collect();
     let window = period.rows(WINDOW_S);
-    let mut windows: Vec<f64> =
-        rows.chunks_exact(window).map(|rows| rows.iter().sum::<f64>() / window as f64).collect();
+    let means = rows.chunks_exact(window).map(|rows| rows.iter().sum::<f64>() / window as f64);
+    let mut windows: Vec<f64> = means.collect();
     windows.sort_by(f64::total_cmp);
     windows.get(3 * windows.len() / 4).map_or(f64::INFINITY, |square| square.sqrt())
 }
@@ -180,15 +178,14 @@ pub fn check(log: &LogRows, agent: &Agent, latency_s: Option<f64>) -> anyhow::Re
     let at_first_rad = at_last_rad;
     while at_last_rad > FITS_RAD && undo.len() < MOST {
         let few = &rows[..rows.len().min(period.rows(SEARCH_S))];
-        let mut best: Option<(&Mistake, f64)> = None;
+        let (mut found, mut least_rad) = (&all[0], f64::INFINITY);
         for candidate in &all {
             let tried: Vec<&Mistake> = undo.iter().copied().chain([candidate]).collect();
             let (_, left_rad) = best_delay(&replay(agent, few, &tried)?, period);
-            if best.is_none_or(|(_, least_rad)| left_rad < least_rad) {
-                best = Some((candidate, left_rad));
+            if left_rad < least_rad {
+                (found, least_rad) = (candidate, left_rad);
             }
         }
-        let Some((found, _)) = best else { break };
         undo.push(found);
         let (found_delay, left_rad) = best_delay(&replay(agent, rows, &undo)?, period);
         if left_rad > BETTER * at_last_rad {
@@ -201,10 +198,10 @@ pub fn check(log: &LogRows, agent: &Agent, latency_s: Option<f64>) -> anyhow::Re
         let wanted_s = latency_s.unwrap_or(agent.config.simulation.latency_s);
         let found_s = period.0 * delay as f64;
         if (found_s - wanted_s).abs() > DELAY_TOLERANCE_S.max(period.0) {
+            let [found_ms, wanted_ms] = [found_s, wanted_s].map(|time_s| 1e3 * time_s);
             let text = format!(
-                "joint targets are sent {:.0} ms after the reading that they answer, {:.0} ms is what the policy was trained with",
-                1e3 * found_s,
-                1e3 * wanted_s
+                "joint targets are sent {found_ms:.0} ms after the reading that they answer, {wanted_ms:.0} ms is what the policy was \
+                 trained with"
             );
             findings.push(Finding { text, difference_rad: Some(at_last_rad) });
         }
@@ -222,28 +219,27 @@ fn physical(rows: &[(String, Row)], agent: &Agent) -> Vec<Finding> {
     let simulation = &agent.config.simulation;
     let gains = [simulation.kp_n_m_per_rad.joints(), simulation.kd_n_m_s_per_rad.joints()];
     // A log has those of the first joint.
-    let wanted = gains.map(|joints| joints[0]);
-    let mut findings = Vec::new();
-    let mut find = |text: String| findings.push(Finding { text, difference_rad: None });
-    let sent = rows.first().map_or(wanted, |row| row.gains);
+    let [wanted_kp, wanted_kd] = gains.map(|joints| joints[0]);
+    let [sent_kp, sent_kd] = rows.first().map_or([wanted_kp, wanted_kd], |row| row.gains);
     let differs = |found: f64, wanted: f64, by: f64| (found - wanted).abs() > by * wanted;
-    if differs(sent[0], wanted[0], 0.02) || differs(sent[1], wanted[1], 0.02) {
-        find(format!(
-            "gains are kp {} and kd {}, the policy was trained with {} and {}",
-            sent[0], sent[1], wanted[0], wanted[1]
-        ));
-    } else if let Some([kp, kd]) = effective_gains(&rows, &gains) {
-        if differs(kp, wanted[0], 0.25) {
-            find(format!("torques are those of a gain kp of {kp:.0} N m/rad, not of the {} that was sent", sent[0]));
-        }
-        if differs(kd, wanted[1], 0.6) && !differs(kp, wanted[0], 0.25) {
-            find(format!("torques are those of a gain kd of {kd:.1} N m s/rad, not of the {} that was sent", sent[1]));
-        }
-    }
-    if let Some(text) = quaternion(&rows) {
-        find(text);
-    }
-    findings
+    let of_gains = if differs(sent_kp, wanted_kp, 0.02) || differs(sent_kd, wanted_kd, 0.02) {
+        Some(format!(
+            "gains are kp {sent_kp} and kd {sent_kd}, the policy was trained with {wanted_kp} and {wanted_kd}"
+        ))
+    } else {
+        effective_gains(&rows, &gains).and_then(|[kp, kd]| {
+            let of_torques = |gain: String, sent: f64| {
+                format!("torques are those of a gain {gain}, not of the {sent} that was sent")
+            };
+            match (differs(kp, wanted_kp, 0.25), differs(kd, wanted_kd, 0.6)) {
+                (true, _) => Some(of_torques(format!("kp of {kp:.0} N m/rad"), sent_kp)),
+                (false, true) => Some(of_torques(format!("kd of {kd:.1} N m s/rad"), sent_kd)),
+                (false, false) => None,
+            }
+        })
+    };
+    let texts = of_gains.into_iter().chain(quaternion(&rows));
+    texts.map(|text| Finding { text, difference_rad: None }).collect()
 }
 
 /// Estimates the gains of the first joint from torques by least squares: `τ = kp (target − q) − kd q̇`, where those of the other
@@ -272,13 +268,11 @@ fn effective_gains(rows: &[&Row], wanted: &[Joints; 2]) -> Option<[f64; 2]> {
 
 /// Compares the mean up of quaternion and accelerometer; the text says in which other reading they agree.
 fn quaternion(rows: &[&Row]) -> Option<String> {
-    let mut force = Vector3::zeros();
-    rows.iter().for_each(|row| force += Vector3::from(row.accelerometer));
+    let force: Vector3<f64> = rows.iter().map(|row| Vector3::from(row.accelerometer)).sum();
     let force = force.try_normalize(1e-9)?;
     // A frame or sign of the accelerometer is found by the replay.
     let up = |read: fn([f64; 4]) -> UnitQuaternion<f64>| {
-        let mut up = Vector3::zeros();
-        rows.iter().for_each(|row| up += read(row.quaternion).inverse() * Vector3::z());
+        let up: Vector3<f64> = rows.iter().map(|row| read(row.quaternion).inverse() * Vector3::z()).sum();
         up.try_normalize(1e-9).map_or(std::f64::consts::PI, |up| up.angle(&force))
     };
     const CLOSE_RAD: f64 = 0.15;

@@ -44,12 +44,12 @@ impl LogRows {
             return Ok(LogRows(rows.into_iter().map(phased).collect()));
         }
         let older = crate::bridge::log::older(path);
-        let mut rows = if older.exists() { Self::read_one(&older, columns)?.0 } else { Vec::new() };
-        rows.extend(Self::read_one(path, columns)?.0);
+        let mut rows = if older.exists() { Self::read_one(&older, columns)? } else { Vec::new() };
+        rows.extend(Self::read_one(path, columns)?);
         Ok(LogRows(rows))
     }
 
-    fn read_one(path: &Path, names: &Columns) -> anyhow::Result<Self> {
+    fn read_one(path: &Path, names: &Columns) -> anyhow::Result<Vec<(String, Row)>> {
         let fail = FileError::of("cannot read the log", path);
         let mut table = csv::ReaderBuilder::new().flexible(true).from_path(path).map_err(fail)?;
         let headers = table.headers().map_err(fail)?;
@@ -90,7 +90,7 @@ impl LogRows {
             let logged = phase.and_then(|place| record.get(place));
             rows.push((logged.unwrap_or(phase_at(row.time_s - begin_s, names)).to_owned(), row));
         }
-        Ok(LogRows(rows))
+        Ok(rows)
     }
 
     /// Returns the rows of one run of the policy, at most `most`, with some of the stance before it: of the last run that is at least

@@ -237,9 +237,7 @@ impl<T: TypeSupport + Send + Sync + 'static, F: FnMut(Arrival<T>) + Send + 'stat
         let samples = reader.take(DEPTH as i32, ANY_SAMPLE_STATE, ANY_VIEW_STATE, ANY_INSTANCE_STATE).await;
         for sample in samples.into_iter().flatten() {
             let writer = sample.sample_info.publication_handle.into();
-            if let Some(message) = sample.data {
-                (self.take)(Arrival { message, at, writer });
-            }
+            sample.data.into_iter().for_each(|message| (self.take)(Arrival { message, at, writer }));
         }
     }
 }

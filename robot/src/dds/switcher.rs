@@ -58,18 +58,9 @@ const RELEASE_MODE: i64 = 1003;
 const NOT_IMPLEMENTED: i32 = 3203;
 const BAD_PARAMETER: i32 = 7001;
 
-/// Name of the mode in which a robot starts.
-const NORMAL: &str = "normal";
-
 /// The robot's mode: the name of its own controller, or empty where it has been released.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Mode(String);
-
-impl Default for Mode {
-    fn default() -> Self {
-        Mode(NORMAL.to_owned())
-    }
-}
 
 /// The parameter of SelectMode, and the result of CheckMode.
 #[derive(Deserialize)]
@@ -78,8 +69,18 @@ struct Name {
 }
 
 impl Mode {
+    /// Returns the mode in which a robot starts.
+    fn normal() -> Self {
+        Mode("normal".to_owned())
+    }
+
     pub fn is_released(&self) -> bool {
         self.0.is_empty()
+    }
+
+    fn set(&mut self, name: String) -> (i32, String) {
+        self.0 = name;
+        (0, String::new())
     }
 
     /// Answers a request: code and data.
@@ -87,16 +88,10 @@ impl Mode {
         match function {
             CHECK_MODE => (0, serde_json::json!({"form": "0", "name": self.0}).to_string()),
             SELECT_MODE => match serde_json::from_str(parameter) {
-                Ok(Name { name }) => {
-                    self.0 = name;
-                    (0, String::new())
-                }
+                Ok(Name { name }) => self.set(name),
                 Err(_) => (BAD_PARAMETER, String::new()),
             },
-            RELEASE_MODE => {
-                self.0.clear();
-                (0, String::new())
-            }
+            RELEASE_MODE => self.set(String::new()),
             _ => (NOT_IMPLEMENTED, String::new()),
         }
     }
@@ -105,7 +100,7 @@ impl Mode {
 /// Answers requests until it is dropped; calls `changed` with the mode after each request to the switcher. The robot's own
 /// controller says yes to everything until it is released, and is silent then.
 pub fn serve(node: &Node, mut changed: impl FnMut(&Mode) + Send + 'static) -> anyhow::Result<impl Sized> {
-    let mode = Arc::new(Mutex::new(Mode::default()));
+    let mode = Arc::new(Mutex::new(Mode::normal()));
     let asked = Arc::clone(&mode);
     let switcher = answer(node, SWITCHER, move |function, parameter| {
         let mut mode = asked.lock().unwrap_or_else(PoisonError::into_inner);
@@ -215,9 +210,7 @@ impl Client {
             }
             self.call(RELEASE_MODE)?;
             mode = self.mode()?;
-            if !mode.is_empty() {
-                std::thread::sleep(Duration::from_secs(1));
-            }
+            std::thread::sleep(Duration::from_secs(u64::from(!mode.is_empty())));
         }
         ensure!(
             mode.is_empty(),
@@ -233,7 +226,7 @@ mod tests {
 
     #[test]
     fn mode_is_checked_selected_and_released() {
-        let mut mode = Mode::default();
+        let mut mode = Mode::normal();
         assert_eq!(mode.answer(CHECK_MODE, ""), (0, r#"{"form":"0","name":"normal"}"#.to_owned()));
         assert_eq!(mode.answer(RELEASE_MODE, ""), (0, String::new()));
         assert!(mode.is_released());

@@ -101,12 +101,10 @@ impl Judge {
     }
 
     fn obey(&mut self, command: &LowCmd, now_s: f64, complaints: &mut Vec<Complaint>) {
-        if let (Some(last_s), false) = (self.last_s, self.is_silent) {
-            let gap_s = now_s - last_s;
-            if gap_s > LATE_S {
-                let text = format!("{:.0} ms between two commands, expected 2 ms, at most 10 ms", 1e3 * gap_s);
-                complaints.push(self.complain(Kind::Late, text));
-            }
+        if let Some(last_s) = self.last_s.filter(|last_s| !self.is_silent && now_s - last_s > LATE_S) {
+            let gap_ms = 1e3 * (now_s - last_s);
+            let text = format!("{gap_ms:.0} ms between two commands, expected 2 ms, at most 10 ms");
+            complaints.push(self.complain(Kind::Late, text));
         }
         for (joint, motor) in command.motor_cmd.iter().take(JOINTS).enumerate() {
             let [low, high] = self.joint_limits[joint];
@@ -163,8 +161,8 @@ fn refusal(command: &LowCmd, released: bool, any_head: bool) -> Option<(Kind, St
     }
     for (joint, motor) in command.motor_cmd.iter().take(JOINTS).enumerate() {
         let name = joint_name(joint);
-        if motor.mode > SERVO {
-            let found = motor.mode;
+        let found = motor.mode;
+        if found > SERVO {
             let hint = if found == 0x0A { "; 10 is the Go1's" } else { "" };
             return Some((Kind::Mode, format!("mode of {name} is {found}, expected 1 (servo) or 0 (off){hint}")));
         }

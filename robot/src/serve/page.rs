@@ -84,15 +84,8 @@ impl Page {
     pub fn new(scene: &Scene, seed: u64, range: Command) -> (Self, SyncSender<Message>) {
         let robot = ServedRobot { scene: scene.clone(), seed, range, frames: 0, falls: 0 };
         let (to_robot, messages) = sync_channel(QUEUE);
-        let page = Page {
-            messages,
-            publisher: Publisher::new(&robot),
-            robot,
-            command: Command::default(),
-            pull: None,
-            events: Vec::new(),
-        };
-        (page, to_robot)
+        let (publisher, command) = (Publisher::new(&robot), Command::default());
+        (Page { messages, publisher, robot, command, pull: None, events: Vec::new() }, to_robot)
     }
 
     /// Serves the page on this machine; port 0 takes any free one. Returns its address.
@@ -153,8 +146,7 @@ impl Page {
         self.robot.frames += 1;
         let time_s = self.robot.time_s();
         let events: Vec<Event> = self.events.drain(..).map(|event| Event { time_s, ..event }).collect();
-        let fell = events.iter().filter(|event| event.kind == EventKind::Fall).count();
-        self.robot.falls += u32::try_from(fell).unwrap_or(0);
+        self.robot.falls += events.iter().map(|event| u32::from(event.kind == EventKind::Fall)).sum::<u32>();
         let frame = Some(Arc::new(Frame { time_s, ..frame.clone() }));
         let step = RobotStep { robot: 0, is_beginning: false, frame, events };
         self.publisher.note_steps(&self.robot, tick, &[step]);
@@ -205,10 +197,8 @@ mod tests {
         let frame = play(&mut page, 10);
         assert!(frame.velocity_in_heading[1] > 0.3, "{:?}", frame.velocity_in_heading);
         assert_eq!(page.command, Command::velocity(1.0, 0.0, -0.25));
-        let force_n = match frame.mark {
-            Some(DisturbanceMark::Rope { force }) => force.iter().map(|part| part * part).sum::<f64>().sqrt(),
-            other => panic!("{other:?}"),
-        };
+        let Some(DisturbanceMark::Rope { force }) = frame.mark else { panic!("{:?}", frame.mark) };
+        let force_n = force.iter().map(|part| part * part).sum::<f64>().sqrt();
         assert!((force_n - MOST_PULL_N).abs() < 1e-9, "{force_n}");
         let state: serde_json::Value = serde_json::from_str(&updates.state.borrow()).unwrap();
         let shown = &state["state"]["robots"][0];

@@ -285,15 +285,10 @@ impl<'a> Served<'a> {
             let complaint = self.judge.saturated(joint, torque, limit);
             self.complain(&complaint, now_s);
         }
-        for event in &tick.events {
-            terminal::note(format_args!("{now_s:8.3} s: {}", event.text));
-        }
-        if let Some(recording) = &mut self.recording {
-            recording.add(tick.frame.as_ref(), &tick.events);
-        }
-        if let Some(page) = &mut self.page {
-            page.show(tick.frame.as_ref(), &tick.events);
-        }
+        tick.events.iter().for_each(|event| terminal::note(format_args!("{now_s:8.3} s: {}", event.text)));
+        let (frame, events) = (tick.frame.as_ref(), &tick.events);
+        self.recording.iter_mut().for_each(|recording| recording.add(frame, events));
+        self.page.iter_mut().for_each(|page| page.show(frame, events));
         if self.has_begun && self.scenario.is_some() {
             self.trace.frames.extend(tick.frame.map(|frame| Frame { bodies: Vec::new(), ..frame }));
             self.trace.events.extend(tick.events);
@@ -314,9 +309,7 @@ impl<'a> Served<'a> {
     /// Shows a text on the terminal and the page.
     fn say(&mut self, now_s: f64, text: &str) {
         terminal::note(format_args!("{now_s:8.3} s: {text}"));
-        if let Some(page) = &mut self.page {
-            page.notice(text.to_owned());
-        }
+        self.page.iter_mut().for_each(|page| page.notice(text.to_owned()));
     }
 
     fn finish(self, pace: Pace) -> anyhow::Result<Summary> {
