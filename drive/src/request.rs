@@ -1,6 +1,6 @@
-//! The JSON messages between a page and the server: requests of the page and the greeting of the server; states are the publisher's.
+//! The JSON messages of a page to the server, and what they may do.
 
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 use supple::scenario::session::{Act, PushUnit, SceneKind};
 use supple::task::Command;
 use supple::util::terminal::echo;
@@ -9,11 +9,13 @@ use supple::util::terminal::echo;
 pub type PageId = u64;
 
 /// Largest push [m/s].
-pub const MOST_PUSH_M_S: f64 = 3.0;
+const MOST_PUSH_M_S: f64 = 3.0;
 /// Largest push [N·s]; about 3 m/s for the paper's robot of 12 kg.
-pub const MOST_PUSH_N_S: f64 = 40.0;
+const MOST_PUSH_N_S: f64 = 40.0;
 /// Largest pull \[N\].
 pub const MOST_PULL_N: f64 = 100.0;
+/// All three of them, as pages are told.
+pub const MOST: [f64; 3] = [MOST_PUSH_M_S, MOST_PUSH_N_S, MOST_PULL_N];
 
 /// A request of a page; all but `Drive` are obeyed only from the driving page.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
@@ -101,21 +103,6 @@ pub fn limited(vector: [f64; 2], most: f64) -> [f64; 2] {
     }
     let length = vector[0].hypot(vector[1]);
     if length > most { vector.map(|part| part * most / length) } else { vector }
-}
-
-/// The greeting to a new page.
-#[derive(Debug, Clone, Serialize)]
-pub struct Hello {
-    /// Names of the shipped policies.
-    pub policies: Vec<String>,
-    /// Scenes that can be chosen.
-    pub scenes: Vec<SceneKind>,
-    /// Largest push [m/s] and [N·s], and largest pull \[N\].
-    pub most: [f64; 3],
-    /// True if the page embeds the viewer, false if a separate viewer runs.
-    pub viewer: bool,
-    /// True if the robot is played by another program: the page cannot change robots, scene or time, nor save.
-    pub is_served: bool,
 }
 
 #[cfg(test)]

@@ -22,7 +22,6 @@ const TINT_SHARE: f32 = 0.5;
 
 /// The moving parts of a model and their names.
 pub(super) struct Parts {
-    /// Body id of the trunk.
     pub(super) trunk: usize,
     /// Ids and paths of the bodies that have their own entity.
     pub(super) bodies: Vec<(usize, EntityPath)>,

@@ -31,7 +31,6 @@ const LABEL_HEIGHT_M: f32 = 0.28;
 pub(super) struct Overlay {
     root: EntityPath,
     ground: Ground,
-    /// Colour of the robot.
     colour: Rgb,
     trunk: [f32; 3],
     trunk_trail: VecDeque<[f32; 3]>,
@@ -101,7 +100,6 @@ impl Overlay {
         stream.replace(&self.entity("label"), &label)
     }
 
-    /// Removes labels and trails.
     pub(super) fn begin_again(&mut self, stream: &Stream) -> Result<(), RecordError> {
         self.trunk_trail.clear();
         self.foot_trails.iter_mut().for_each(VecDeque::clear);

@@ -14,13 +14,10 @@ use supple::task::reward::{TERMS, TermDefinition};
 
 /// A plot: one quantity over time.
 pub(super) struct Plot {
-    /// Name of the plot's entities.
     pub(super) entity: &'static str,
     /// Title of the plot, with the unit.
     pub(super) title: &'static str,
-    /// Tab in which the plot is shown.
     pub(super) tab: Tab,
-    /// Kind of the plot's series.
     pub(super) series: Series,
     /// Fixed range of the value axis; `None` for the range of the values.
     pub(super) range: Option<[f64; 2]>,
@@ -39,9 +36,7 @@ pub(super) enum Tab {
 /// The optional plots of a recording.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Shown {
-    /// True if there are obstacles.
     pub(super) obstacles: bool,
-    /// True if a robot acts on its sensors.
     pub(super) estimates: bool,
 }
 

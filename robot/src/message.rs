@@ -290,15 +290,17 @@ const TABLE: [u32; 256] = {
     table
 };
 
-/// Fills every field from a generator that a peer in another language can repeat (see `scripts/check_go2`). Even seeds keep
-/// the top bit of bytes and half-words clear, which the vendor's own checksum helper needs.
-pub fn fill(frame: &mut impl Field, seed: u32) {
-    let mut x = seed.wrapping_mul(2_654_435_761) ^ 0x9E37_79B9;
+/// Returns a frame whose fields are all filled from a generator that a peer in another language can repeat (see `scripts/check_go2`).
+/// Even seeds keep the top bit of bytes and half-words clear, which the vendor's own checksum helper needs.
+#[cfg(test)]
+pub(crate) fn filled<T: Field>(seed: u32) -> T {
+    let (mut frame, mut x) = (T::zero(), seed.wrapping_mul(2_654_435_761) ^ 0x9E37_79B9);
     frame.fill(&mut || {
         x = x.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
         let y = x ^ (x >> 15);
         if seed.is_multiple_of(2) { y & 0x7F7F_7F7F } else { y }
     });
+    frame
 }
 
 impl LowCmd {
@@ -345,10 +347,7 @@ pub(crate) mod tests {
         // What the vendor's library gives for the same frames: `scripts/check_go2 crc`.
         let golden = [(0, 0x4B39_D8AB, 0x7BE8_6F5B), (2, 0x2FE7_E9D4, 0x0308_DF78), (4, 0x3A30_71CA, 0x1A27_0C51)];
         for (seed, of_command, of_state) in golden {
-            let (mut command, mut state) = (LowCmd::zero(), LowState::zero());
-            fill(&mut command, seed);
-            fill(&mut state, seed);
-            assert_eq!((crc(&command), crc(&state)), (of_command, of_state));
+            assert_eq!((crc(&filled::<LowCmd>(seed)), crc(&filled::<LowState>(seed))), (of_command, of_state));
         }
     }
 
@@ -362,15 +361,11 @@ pub(crate) mod tests {
     #[test]
     fn cdr_is_the_vendors_on_filled_frames() {
         // FNV-1a of what the vendor's library writes: `scripts/check_go2 crc`.
-        let fnv = |bytes: &[u8]| {
-            bytes
-                .iter()
-                .fold(0xCBF2_9CE4_8422_2325, |hash: u64, byte| (hash ^ u64::from(*byte)).wrapping_mul(0x100_0000_01B3))
-        };
+        let mix = |hash: u64, byte: &u8| (hash ^ u64::from(*byte)).wrapping_mul(0x100_0000_01B3);
+        let fnv = |bytes: &[u8]| bytes.iter().fold(0xCBF2_9CE4_8422_2325, mix);
         let golden = [(0, 0xB381_73BD_27DD_570C), (2, 0xB094_FA61_C1A6_DA65), (4, 0x8B5E_E262_C260_3A34)];
         for (seed, of_state) in golden {
-            let mut state = LowState::zero();
-            fill(&mut state, seed);
+            let state = filled::<LowState>(seed);
             let bytes = cdr(&state);
             assert_eq!(fnv(&bytes), of_state, "{seed}");
             assert_eq!(LowState::read(&mut Cdr::new(&bytes).unwrap()), Some(state));

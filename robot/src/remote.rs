@@ -5,7 +5,6 @@ use supple::task::Command;
 
 /// Buttons of the remote that have a meaning, by the bit that carries them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[allow(missing_docs)] // their names are printed on them
 pub enum Button {
     Start = 2,
     Select = 3,
@@ -40,7 +39,6 @@ impl Remote {
         }
     }
 
-    /// Writes the bytes.
     pub fn to_bytes(self) -> [u8; 40] {
         let mut bytes = [0; 40];
         (bytes[0], bytes[1]) = (0x55, 0x51);
@@ -51,7 +49,6 @@ impl Remote {
         bytes
     }
 
-    /// Returns true if a button is pressed.
     pub fn is_pressed(&self, button: Button) -> bool {
         self.buttons >> button as u16 & 1 == 1
     }
@@ -88,7 +85,7 @@ impl FullSticks {
     }
 
     /// Returns the remote's sticks for a command: left stick forward and sideways, right stick turning.
-    pub fn remote(&self, command: &Command) -> Remote {
+    pub(crate) fn remote(&self, command: &Command) -> Remote {
         let [forward, left, yaw] = self.0;
         let stick = |value: f64, full: f64| (value / full).clamp(-1.0, 1.0) as f32;
         Remote {
@@ -98,8 +95,7 @@ impl FullSticks {
         }
     }
 
-    /// Returns the command that sticks mean.
-    pub fn command(&self, remote: &Remote) -> Command {
+    pub(crate) fn command(&self, remote: &Remote) -> Command {
         let [forward, left, yaw] = self.0;
         let [sideways, ahead] = remote.left.map(f64::from);
         Command::velocity(forward * ahead, -left * sideways, -yaw * f64::from(remote.right[0]))

@@ -28,13 +28,13 @@ use anyhow::Context;
 use axum::Router;
 use axum::middleware::from_fn_with_state;
 use axum::routing::get;
+use serde_json::Value;
 use tokio::net::TcpListener;
 use tokio::runtime::Handle;
 use tokio::sync::Semaphore;
 
 use crate::message::Message;
 use crate::publisher::Updates;
-use crate::request::Hello;
 
 use guard::Token;
 
@@ -50,7 +50,7 @@ struct Shared {
     port: u16,
     robots: SyncSender<Message>,
     updates: Updates,
-    hello: Arc<Hello>,
+    hello: Arc<Value>,
     pages: Arc<AtomicU64>,
     page_permits: Arc<Semaphore>,
     viewer_permits: Arc<Semaphore>,
@@ -64,7 +64,9 @@ pub struct Serving {
     pub runtime: Handle,
 }
 
-/// Starts to serve pages and viewers; port 0 takes any free one.
+/// Starts to serve pages and viewers; port 0 takes any free one. New pages are told `hello`: the names of the shipped `policies`; the
+/// `scenes` that can be chosen; `most`, the largest push [m/s] and [N·s] and the largest pull \[N\]; `viewer`, true if the page embeds the
+/// viewer; `is_served`, true if another program plays the robot: the page cannot change robots, scene or time, nor save.
 ///
 /// # Errors
 /// The port cannot be opened, no thread can be had, or the clock of this machine is before 1970.
@@ -73,7 +75,7 @@ pub fn start(
     port: u16,
     robots: SyncSender<Message>,
     updates: Updates,
-    hello: Hello,
+    hello: Value,
 ) -> anyhow::Result<Serving> {
     anyhow::ensure!(is_clock_right(), "cannot serve pages: the clock of this machine is before 1970; set it");
     // On a thread of our own: one that cannot be had is then no panic.

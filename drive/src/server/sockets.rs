@@ -112,17 +112,13 @@ async fn talk(mut socket: WebSocket, page: PageId, shared: &Shared) {
 }
 
 async fn ask(socket: &mut WebSocket, page: PageId, shared: &Shared, text: &str) -> bool {
-    match Request::parse(text) {
+    match Request::parse(text).map(|request| shared.robots.try_send(Message::Request(page, request))) {
         // Requests queue while a scene is built; a full queue drops them, and the page repeats its commands.
-        Ok(request) => match shared.robots.try_send(Message::Request(page, request)) {
-            Ok(()) | Err(TrySendError::Full(_)) => true,
-            Err(TrySendError::Disconnected(_)) => false,
-        },
+        Ok(sent) => !matches!(sent, Err(TrySendError::Disconnected(_))),
         Err(problem) => refuse(socket, &problem).await,
     }
 }
 
-/// Sends the reason and closes the connection.
 async fn refuse(socket: &mut WebSocket, problem: &str) -> bool {
     send(socket, Frame::text(serde_json::json!({ "refused": problem }).to_string())).await;
     send(socket, Frame::Close(None)).await;
@@ -154,13 +150,10 @@ async fn feed(mut socket: WebSocket, shared: &Shared, permit: OwnedSemaphorePerm
     let (mut ahead, mut heard, mut look) = (0, Instant::now(), interval(PING_EVERY));
     loop {
         let going_on = tokio::select! {
-            file = arriving.recv(), if ahead < AHEAD => match file {
-                Some(file) => {
-                    ahead += 1;
-                    send(&mut socket, Frame::Binary(file.into())).await
-                }
-                None => false,
-            },
+            file = arriving.recv(), if ahead < AHEAD => {
+                ahead += 1;
+                file.is_some() && send(&mut socket, Frame::Binary(file.unwrap_or_default().into())).await
+            }
             message = socket.recv() => {
                 heard = Instant::now();
                 // A text means that the viewer has shown a file.

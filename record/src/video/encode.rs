@@ -49,7 +49,6 @@ impl Format {
 pub(super) struct Encoder {
     kind: Kind,
     size: [usize; 2],
-    /// Number of encoded frames.
     frames: u32,
 }
 
@@ -108,7 +107,6 @@ impl Encoder {
         Ok(())
     }
 
-    /// Returns the bytes of the file.
     pub(super) fn finish(self) -> Result<Vec<u8>, VideoError> {
         match self.kind {
             Kind::Mp4(mp4) => mp4.finish(),

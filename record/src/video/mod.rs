@@ -121,7 +121,6 @@ impl Video {
         }
     }
 
-    /// Returns the bytes of the file.
     fn encode(
         &self,
         title: &str,

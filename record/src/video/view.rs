@@ -27,7 +27,6 @@ pub(super) struct View<'a> {
     robot: RobotView<'a>,
     trace: &'a Trace,
     renderer: Renderer,
-    /// Number of bodies of the model.
     bodies: usize,
     /// Time of the last picture \[s\], and what its camera looked at \[m\].
     looked_at: Option<(f64, [f64; 3])>,

@@ -104,7 +104,6 @@ impl Row {
     }
 }
 
-/// Writes a log.
 pub struct Log {
     sender: SyncSender<(&'static str, Row)>,
     thread: JoinHandle<io::Result<()>>,

@@ -175,12 +175,11 @@ mod tests {
         // Rolled by 70°: cos and sin of half of it.
         let rolled = checked(|it| it.imu_state.quaternion = [0.819, 0.574, 0.0, 0.0]);
         assert!(matches!(rolled, Err(Fault::Tilt { .. })), "{rolled:?}");
-        let fast = checked(|it| it.motor_state[4].dq = -36.0);
-        assert!(matches!(fast, Err(Fault::JointRate { ref joint, .. }) if joint == "FL_thigh"), "{fast:?}");
-        let hot = checked(|it| it.motor_state[4].temperature = 90);
-        assert!(matches!(hot, Err(Fault::Temperature { found: 90, .. })), "{hot:?}");
-        let empty = checked(|it| it.bms_state.soc = 5);
-        assert!(matches!(empty, Err(Fault::Battery { found: 5, .. })), "{empty:?}");
+        let fast = Fault::JointRate { joint: "FL_thigh".to_owned(), found: -36.0, limit: JOINT_RATE_RAD_S };
+        assert_eq!(checked(|it| it.motor_state[4].dq = -36.0), Err(fast));
+        let hot = Fault::Temperature { joint: "FL_thigh".to_owned(), found: 90, limit: TEMPERATURE_C };
+        assert_eq!(checked(|it| it.motor_state[4].temperature = 90), Err(hot));
+        assert_eq!(checked(|it| it.bms_state.soc = 5), Err(Fault::Battery { found: 5, limit: CHARGE_PERCENT }));
         let broken = checked(|it| it.imu_state.gyroscope[1] = f32::NAN);
         assert!(matches!(broken, Err(Fault::NotFinite { .. })), "{broken:?}");
         let named = checked(|it| it.motor_state[7].dq = f32::NAN).unwrap_err();

@@ -122,7 +122,7 @@ pub(super) mod tests {
     use super::*;
     use crate::check::LogRows;
     use crate::message::tests::cdr;
-    use crate::message::{MotorCmd, SERVO, fill};
+    use crate::message::{MotorCmd, SERVO, filled};
 
     /// A bag of these rows, as a recorder of ROS 2 writes it.
     fn bag(rows: &[Row]) -> Vec<u8> {
@@ -199,12 +199,10 @@ pub(super) mod tests {
             bytes[at] ^= 0x80;
             let _ = read_bytes(&bytes, &columns());
         }
-        let mut wrong = LowState::zero();
-        fill(&mut wrong, 2);
         let mut writer = mcap::Writer::new(Cursor::new(Vec::new())).unwrap();
         let channel_id = writer.add_channel(0, "rt/lowstate", "cdr", &BTreeMap::new()).unwrap();
         let header = mcap::records::MessageHeader { channel_id, sequence: 0, log_time: 0, publish_time: 0 };
-        writer.write_to_known_channel(&header, &cdr(&wrong)[..500]).unwrap();
+        writer.write_to_known_channel(&header, &cdr(&filled::<LowState>(2))[..500]).unwrap();
         writer.finish().unwrap();
         let error = read_bytes(&writer.into_inner().into_inner(), &columns()).unwrap_err();
         assert!(error.contains("rt/lowstate") && error.contains("LowState"), "{error}");

@@ -354,9 +354,7 @@ mod tests {
     #[test]
     fn robot_without_commands_sinks_and_stays_at_rest() {
         let mut body = body();
-        for _ in 0..3 * STATE_HZ {
-            assert!(!body.tick().is_over);
-        }
+        assert!((0..3 * STATE_HZ).all(|_| !body.tick().is_over));
         let (sight, state) = (body.sight(0.0, false), body.state(Remote::default()));
         assert!(sight.height_m < 0.2 && sight.tilt_rad < 0.3, "{sight:?}");
         assert!(state.motor_state.iter().all(|motor| motor.dq.abs() < 0.2));
@@ -389,15 +387,13 @@ mod tests {
     fn commanded_torque_is_what_the_motor_gives() {
         let mut body = body();
         let mut motors = motor::damping();
-        (motors[4].kd, motors[4].tau) = (0.0, -3.5);
-        body.command(&motors);
-        body.tick();
-        assert!((body.state(Remote::default()).motor_state[4].tau_est + 3.5).abs() < 1e-6);
-        motors[4].tau = -300.0;
-        body.command(&motors);
-        let tick = body.tick();
-        assert_eq!(tick.saturated.map(|(joint, ..)| joint), Some(4));
-        assert!((body.state(Remote::default()).motor_state[4].tau_est + 23.7).abs() < 1e-4);
+        motors[4].kd = 0.0;
+        for (commanded, given, close, saturated) in [(-3.5, -3.5, 1e-6, None), (-300.0, -23.7, 1e-4, Some(4))] {
+            motors[4].tau = commanded;
+            body.command(&motors);
+            assert_eq!(body.tick().saturated.map(|(joint, ..)| joint), saturated);
+            assert!((body.state(Remote::default()).motor_state[4].tau_est - given).abs() < close);
+        }
     }
 
     #[test]

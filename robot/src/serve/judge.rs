@@ -202,15 +202,6 @@ mod tests {
     }
 
     #[test]
-    fn valid_command_is_obeyed_without_complaint() {
-        let mut judge = judge();
-        assert!(judge.is_silent);
-        assert_eq!(judge.take(&command(), [1; 16], 1.0, true), []);
-        assert_eq!(judge.motors[1].q, 0.8);
-        assert!(!judge.is_silent && judge.accepted == 1);
-    }
-
-    #[test]
     fn each_broken_command_is_refused_with_its_reason() {
         let broken: [(Kind, fn(&mut LowCmd)); 7] = [
             (Kind::Head, |it| it.head = [0xEF, 0xFE]),
@@ -236,9 +227,11 @@ mod tests {
     }
 
     #[test]
-    fn silence_leads_to_damping_until_commands_return() {
+    fn valid_commands_are_obeyed_and_silence_leads_to_damping_until_they_return() {
         let mut judge = judge();
-        judge.take(&command(), [1; 16], 1.0, true);
+        assert!(judge.is_silent);
+        assert_eq!(judge.take(&command(), [1; 16], 1.0, true), []);
+        assert!(judge.motors[1].q == 0.8 && !judge.is_silent && judge.accepted == 1);
         assert_eq!(judge.wait(1.099), None);
         assert_eq!(judge.wait(1.101).map(|complaint| complaint.kind), Some(Kind::Silence));
         assert_eq!((&judge.motors, judge.is_silent), (&motor::damping(), true));

@@ -4,6 +4,7 @@ use std::net::{IpAddr, Ipv4Addr};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
+use serde_json::json;
 use supple::robot::GRAVITY_M_S2;
 use supple::scenario::session::{Act, Input, RATE_HZ, RobotStep, SceneKind};
 use supple::scenario::trace::{Event, EventKind, Frame};
@@ -12,7 +13,7 @@ use supple::task::Command;
 use supple_drive::driver::Heard;
 use supple_drive::message::Message;
 use supple_drive::publisher::{Facts, Publisher, Shown};
-use supple_drive::request::{Hello, MOST_PULL_N, MOST_PUSH_M_S, MOST_PUSH_N_S, Request, bounded};
+use supple_drive::request::{MOST, Request, bounded};
 use supple_drive::server;
 use supple_drive::viewer_stream::Cast;
 
@@ -90,8 +91,7 @@ impl Page {
 
     /// Serves the page on this machine; port 0 takes any free one. Returns its address.
     pub fn serve(&self, to_robot: SyncSender<Message>, port: u16) -> anyhow::Result<String> {
-        let most = [MOST_PUSH_M_S, MOST_PUSH_N_S, MOST_PULL_N];
-        let hello = Hello { policies: Vec::new(), scenes: Vec::new(), most, viewer: true, is_served: true };
+        let hello = json!({ "policies": [], "scenes": [], "most": MOST, "viewer": true, "is_served": true });
         let here = IpAddr::V4(Ipv4Addr::LOCALHOST);
         Ok(server::start(here, port, to_robot, self.publisher.updates.clone(), hello)?.url)
     }
@@ -163,6 +163,7 @@ mod tests {
     use supple::scenario::session::PushUnit;
     use supple::scenario::trace::DisturbanceMark;
     use supple_drive::driver::SILENCE;
+    use supple_drive::request::MOST_PULL_N;
 
     use super::*;
     use crate::motor;

@@ -15,7 +15,7 @@ use supple::util::{files, terminal};
 use supple_drive::live::{self, Live};
 use supple_drive::message::Message;
 use supple_drive::publisher::{Publisher, Updates};
-use supple_drive::request::{Hello, MOST_PULL_N, MOST_PUSH_M_S, MOST_PUSH_N_S};
+use supple_drive::request::MOST;
 use supple_drive::server::{self, Serving, start_thread};
 use supple_drive::{replay, viewer_stream};
 
@@ -108,14 +108,14 @@ fn setup(args: &Args, cache: &mut AgentCache) -> anyhow::Result<Setup> {
     Ok(Setup { scene: args.scene, seed: args.seed, robots })
 }
 
-fn hello(args: &Args) -> Hello {
-    Hello {
-        policies: shipped::EMBEDDED.iter().map(|(name, _)| (*name).to_owned()).collect(),
-        scenes: SceneKind::value_variants().to_vec(),
-        most: [MOST_PUSH_M_S, MOST_PUSH_N_S, MOST_PULL_N],
-        viewer: args.connect.is_none(),
-        is_served: false,
-    }
+fn hello(args: &Args) -> serde_json::Value {
+    serde_json::json!({
+        "policies": shipped::EMBEDDED.iter().map(|(name, _)| *name).collect::<Vec<_>>(),
+        "scenes": SceneKind::value_variants(),
+        "most": MOST,
+        "viewer": args.connect.is_none(),
+        "is_served": false,
+    })
 }
 
 fn replay_headless(session: &Path, recording: Option<&Path>) -> anyhow::Result<()> {

@@ -77,7 +77,6 @@ pub struct Args {
     /// Write the trace, one row for each policy step; `-` writes it to stdout, and the summary to stderr
     #[arg(long, global = true, help_heading = OUTPUT, value_name = "FILE")]
     pub csv: Option<PathBuf>,
-    /// The scenario or command.
     #[command(subcommand)]
     pub what: What,
 }

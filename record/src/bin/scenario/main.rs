@@ -221,7 +221,6 @@ impl<'a> Trial<'a> {
         steps.max().unwrap_or(0) as u64
     }
 
-    /// Plays all robots step by step in parallel, and records them.
     fn play(&self, recording: &mut Recording, bar: &ProgressBar) -> anyhow::Result<Vec<Trace>> {
         let mut rollouts = Vec::new();
         for ((_, agent), script) in self.parts() {

@@ -16,15 +16,11 @@ use crate::args::Args;
 
 /// A finished playback.
 pub struct Outcome<'a> {
-    /// Name of the policy.
     pub policy: &'a str,
-    /// SHA-256 of the policy.
     pub sha256: String,
     /// Name or file of the robot.
     pub robot: &'a str,
-    /// The trace of the playback.
     pub trace: &'a Trace,
-    /// Metrics of the scenario.
     pub metrics: Vec<Metric>,
 }
 

@@ -41,7 +41,6 @@ impl Recording {
         Recording { recorder: None, sink: None }
     }
 
-    /// Adds a step of a robot.
     pub fn add(&mut self, robot: usize, played: &PlaybackStep) -> anyhow::Result<()> {
         let Some(recorder) = &mut self.recorder else { return Ok(()) };
         let logged = recorder.step(robot, played.frame.as_ref(), &played.events);

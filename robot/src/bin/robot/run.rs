@@ -10,8 +10,8 @@ use rustix::termios::{LocalModes, OptionalActions, SpecialCodeIndex, Termios, tc
 use supple::policy::shipped;
 use supple::task::Command;
 use supple::util::terminal;
+use supple_robot::FullSticks;
 use supple_robot::bridge::{KEYS, Order, Report, Settings, drive};
-use supple_robot::remote::FullSticks;
 
 use crate::stop_flag;
 
