@@ -205,10 +205,8 @@ mod tests {
             let (to_robots, messages) = sync_channel(1);
             let change = Change::Robot { index: 0, policy: Some(policy.to_owned()), robot: None };
             Builder::new(to_robots, is_shared).start(change, &setup, &cache).unwrap();
-            match messages.recv().unwrap() {
-                Message::Built { result: Err(text), .. } => text,
-                message => panic!("{message:?}"),
-            }
+            let Message::Built { result: Err(text), .. } = messages.recv().unwrap() else { panic!("it is built") };
+            text
         };
         let path = path.to_str().unwrap();
         assert!(told(path, false).contains("password_of_the_lab"), "{}", told(path, false));

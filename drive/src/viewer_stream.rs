@@ -101,14 +101,10 @@ impl View {
             if last.beginnings[robot] != shown.beginnings[robot] {
                 self.recorder.begin_again(robot)?;
             }
-            if !last.frames[robot].as_ref().is_some_and(|last| Arc::ptr_eq(last, frame)) {
-                self.recorder.frame(robot, frame)?;
-            }
-            if let (count, Some(event)) = &shown.events[robot]
-                && last.events[robot].0 != *count
-            {
-                self.recorder.event(robot, event)?;
-            }
+            let is_new = !last.frames[robot].as_ref().is_some_and(|last| Arc::ptr_eq(last, frame));
+            let (count, event) = &shown.events[robot];
+            let event = event.as_ref().filter(|_| last.events[robot].0 != *count);
+            self.recorder.step(robot, is_new.then_some(frame), event.map_or(&[], std::slice::from_ref))?;
         }
         Ok(())
     }

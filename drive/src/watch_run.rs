@@ -75,10 +75,8 @@ mod tests {
         let told = |is_shared| {
             let (to, messages) = sync_channel(1);
             start(Arc::new(Mutex::new(vec![path.clone()])), to, is_shared).unwrap();
-            match messages.recv().unwrap() {
-                Message::Notice(text) => text,
-                message => panic!("{message:?}"),
-            }
+            let Message::Notice(text) = messages.recv().unwrap() else { panic!("it is read") };
+            text
         };
         assert!(told(false).contains("private.safetensors"));
         assert_eq!(told(true), "a newer policy cannot be loaded: the terminal says why");

@@ -156,30 +156,23 @@ impl Recorder {
         Ok((robot, &self.stream))
     }
 
-    /// Adds a frame of a robot, given by its index in the robots of [`Recorder::new`].
-    ///
-    /// # Errors
-    /// The frame does not fit the robot's model, or the recording has failed: the disk is full, or the viewer has
-    /// disconnected.
-    pub fn frame(&mut self, robot: usize, frame: &Frame) -> Result<(), RecordError> {
+    fn frame(&mut self, robot: usize, frame: &Frame) -> Result<(), RecordError> {
         let (robot, stream) = self.robot(robot)?;
         robot.frame(stream, frame)?;
         self.stream.end_frame()
     }
 
-    /// Adds an event of a robot, after the frame that it belongs to.
-    ///
-    /// # Errors
-    /// There is no such robot, or the recording has failed.
-    pub fn event(&mut self, robot: usize, event: &Event) -> Result<(), RecordError> {
+    fn event(&mut self, robot: usize, event: &Event) -> Result<(), RecordError> {
         let (robot, stream) = self.robot(robot)?;
         robot.event(stream, event)
     }
 
-    /// Adds what a step has brought of a robot: a frame, if there is one, and events.
+    /// Adds what a step has brought of a robot, given by its index in the robots of [`Recorder::new`]: a frame, if there is one, and events
+    /// that belong to it.
     ///
     /// # Errors
-    /// Those of [`Recorder::frame`] and [`Recorder::event`].
+    /// There is no such robot, the frame does not fit its model, or the recording has failed: the disk is full, or the viewer has
+    /// disconnected.
     pub fn step(&mut self, robot: usize, frame: Option<&Frame>, events: &[Event]) -> Result<(), RecordError> {
         frame.map_or(Ok(()), |frame| self.frame(robot, frame))?;
         events.iter().try_for_each(|event| self.event(robot, event))

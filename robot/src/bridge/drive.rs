@@ -120,15 +120,13 @@ pub fn drive(
     bridge.order(&Order::Command(command), 0.0);
     let node = Node::open(&place)?;
     let (sender, states) = sync_channel::<Arrival<LowState>>(64);
-    let _states = node.listen::<LowState>(STATES, LowState::TYPE, Delivery::BestEffort, move |arrival| {
-        // Full: this loop hangs, which the outlet notices.
-        let _ = sender.try_send(arrival);
-    })?;
+    // Full: this loop hangs, which the outlet notices.
+    let take = move |arrival| drop(sender.try_send(arrival));
+    let _states = node.listen(STATES, LowState::TYPE, Delivery::BestEffort, take)?;
     let others = Arc::new(Others::default());
     let seen = Arc::clone(&others);
-    let _commands = node.listen::<LowCmd>(COMMANDS, LowCmd::TYPE, Delivery::BestEffort, move |arrival| {
-        seen.see(arrival.writer);
-    })?;
+    let see = move |arrival: Arrival<LowCmd>| seen.see(arrival.writer);
+    let _commands = node.listen(COMMANDS, LowCmd::TYPE, Delivery::BestEffort, see)?;
     let Ok(first) = states.recv_timeout(FIRST_STATE) else {
         let Place { domain, address, .. } = place;
         bail!(
@@ -162,10 +160,8 @@ pub fn drive(
     } else {
         let publisher: Publisher<LowCmd> = node.publish(COMMANDS, LowCmd::TYPE, Delivery::BestEffort)?;
         let _ = others.own.set(publisher.id());
-        Outlet::new(limit, move |motors| {
-            // A network that is down is a silence, which both sides notice.
-            let _ = publisher.send(LowCmd::of_motors(motors));
-        })
+        // A network that is down is a silence, which both sides notice.
+        Outlet::new(limit, move |motors| drop(publisher.send(LowCmd::of_motors(motors))))
     };
     let path = &settings.log;
     let log = Log::create(path, ROWS).with_context(|| format!("cannot write the log {}", path.display()))?;

@@ -10,7 +10,7 @@ use anyhow::{anyhow, bail, ensure};
 use dust_dds::infrastructure::type_support::DdsType;
 use serde::Deserialize;
 
-use super::{Delivery, Node, Publisher, Subscription};
+use super::{Arrival, Delivery, Node, Publisher, Subscription};
 
 /// Defines messages of the service by their DDS names.
 macro_rules! messages {
@@ -127,15 +127,14 @@ fn answer(
     // Answered in a thread of its own: a listener must not wait for a writer of the same participant.
     std::thread::spawn(move || {
         for Request { header, parameter, .. } in arrived {
-            let Some((code, data)) = answer(header.identity.api_id, &parameter) else { continue };
-            if !header.policy.noreply {
-                let header = ResponseHeader { identity: header.identity, status: Status { code } };
-                // A client that is gone gets no answer.
-                let _ = responses.send(Response { header, data, binary: Vec::new() });
-            }
+            let answer = answer(header.identity.api_id, &parameter).filter(|_| !header.policy.noreply);
+            let Some((code, data)) = answer else { continue };
+            let header = ResponseHeader { identity: header.identity, status: Status { code } };
+            // A client that is gone gets no answer.
+            let _ = responses.send(Response { header, data, binary: Vec::new() });
         }
     });
-    node.listen::<Request>(&requests, REQUEST, Delivery::Reliable, move |arrival| {
+    node.listen(&requests, REQUEST, Delivery::Reliable, move |arrival: Arrival<Request>| {
         let _ = sender.send(arrival.message);
     })
 }
@@ -158,11 +157,9 @@ impl Client {
     pub fn new(node: &Node) -> anyhow::Result<Self> {
         let (sender, responses) = channel();
         let [requests, replies] = topics(SWITCHER);
-        let listening = node.listen::<Response>(&replies, RESPONSE, Delivery::Reliable, move |arrival| {
-            let _ = sender.send(arrival.message);
-        })?;
-        let requests = node.publish(&requests, REQUEST, Delivery::Reliable)?;
-        Ok(Client { requests, responses, _listening: listening, id: 0 })
+        let take = move |arrival: Arrival<Response>| drop(sender.send(arrival.message));
+        let _listening = node.listen(&replies, RESPONSE, Delivery::Reliable, take)?;
+        Ok(Client { requests: node.publish(&requests, REQUEST, Delivery::Reliable)?, responses, _listening, id: 0 })
     }
 
     fn call(&mut self, function: i64) -> anyhow::Result<String> {
@@ -178,12 +175,11 @@ impl Client {
             self.requests.send(Request { header, parameter: String::new(), binary: Vec::new() })?;
             let until = Instant::now() + Duration::from_millis(500);
             while let Ok(response) = self.responses.recv_timeout(until.saturating_duration_since(Instant::now())) {
-                if response.header.identity.api_id != function || response.header.identity.id > self.id {
-                    continue;
+                let ResponseHeader { identity, status: Status { code } } = response.header;
+                if identity.api_id == function && identity.id <= self.id {
+                    ensure!(code == 0, "motion_switcher refuses function {function} with code {code}");
+                    return Ok(response.data);
                 }
-                let code = response.header.status.code;
-                ensure!(code == 0, "motion_switcher refuses function {function} with code {code}");
-                return Ok(response.data);
             }
         }
         bail!(

@@ -29,7 +29,8 @@ use super::link::{Faults, Link};
 use super::operator::Operator;
 use super::page::Page;
 use super::settings::Settings;
-use crate::dds::{Arrival, Delivery, Node, Place, switcher};
+use crate::dds::switcher::{self, Mode};
+use crate::dds::{Arrival, Delivery, Node, Place};
 use crate::message::{LowCmd, LowState};
 use crate::remote::{FullSticks, Remote};
 
@@ -191,21 +192,17 @@ impl<'a> Served<'a> {
         let released = Arc::new(AtomicBool::new(self.settings.released));
         let switched = Arc::clone(&released);
         let always = self.settings.released;
-        let _switcher = switcher::serve(&node, move |mode| {
-            switched.store(always || mode.is_released(), Ordering::Relaxed);
-        })?;
+        let changed = move |mode: &Mode| switched.store(always || mode.is_released(), Ordering::Relaxed);
+        let _switcher = switcher::serve(&node, changed)?;
         let (sender, arrivals) = sync_channel::<Arrival<LowCmd>>(64);
-        let _commands = node.listen::<LowCmd>(COMMANDS, LowCmd::TYPE, Delivery::BestEffort, move |arrival| {
-            // Full: this loop is too slow, and the message is lost as on a full network.
-            let _ = sender.try_send(arrival);
-        })?;
+        // Full: this loop is too slow, and the message is lost as on a full network.
+        let take = move |arrival| drop(sender.try_send(arrival));
+        let _commands = node.listen(COMMANDS, LowCmd::TYPE, Delivery::BestEffort, take)?;
         let states = node.publish::<LowState>(STATES, LowState::TYPE, Delivery::BestEffort)?;
         let mut rng = stream(self.settings.seed, Purpose::Sensor, 1, 0);
-        let mut outward = Link::new(self.faults);
-        let mut inward = Link::new(self.faults);
-        let mut pace = Pace::default();
+        let (mut outward, mut inward) = (Link::new(self.faults), Link::new(self.faults));
+        let (mut pace, mut due_s) = (Pace::default(), 0.0);
         self.begin = Instant::now();
-        let mut due_s = 0.0;
         loop {
             let now_s = self.now_s();
             let late_s: f64 = now_s - due_s;
@@ -226,10 +223,8 @@ impl<'a> Served<'a> {
             // Until the next tick: messages.
             loop {
                 let now_s = self.now_s();
-                while let Some(state) = outward.take(now_s) {
-                    // A client that is gone gets no state.
-                    let _ = states.send(state);
-                }
+                // A client that is gone gets no state.
+                std::iter::from_fn(|| outward.take(now_s)).for_each(|state| drop(states.send(state)));
                 while let Some(arrival) = inward.take(now_s) {
                     self.take(&arrival, released.load(Ordering::Relaxed));
                 }

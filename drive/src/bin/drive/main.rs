@@ -88,9 +88,8 @@ fn stop_on_signals(to_robots: SyncSender<Message>) -> anyhow::Result<()> {
     let ask = move || {
         let to_robots = to_robots.clone();
         // On another thread, because it waits while the queue is full.
-        if start_thread("stopping", move || drop(to_robots.send(Message::Stop))).is_err() {
-            std::process::exit(130);
-        }
+        let asked = start_thread("stopping", move || drop(to_robots.send(Message::Stop)));
+        asked.unwrap_or_else(|_| std::process::exit(130));
     };
     terminal::on_signals(ask, "stopped at once").context("cannot catch Ctrl-C")
 }
