@@ -8,7 +8,7 @@ their middle against capsules from their first end, quaternions with w first aga
 use rerun::components::HalfSize3D;
 use rerun::{Boxes3D, Capsules3D, Color, Cylinders3D, Ellipsoids3D, EntityPath, FillMode, Points3D, Quaternion};
 
-use super::RecordError;
+use super::Result;
 use super::stream::Stream;
 use super::style::Rgb;
 use supple::mujoco::{Geom, GeomShape, Model, Object};
@@ -30,12 +30,7 @@ pub(super) struct Parts {
 }
 
 /// Logs the visible geometries of a model below `root`, except its ground; returns the moving parts.
-pub(super) fn log_model(
-    stream: &Stream,
-    root: &EntityPath,
-    model: &Model,
-    tint: Option<Rgb>,
-) -> Result<Parts, RecordError> {
+pub(super) fn log_model(stream: &Stream, root: &EntityPath, model: &Model, tint: Option<Rgb>) -> Result<Parts> {
     let trunk = model.id(Object::Body, "trunk")?;
     let geoms: Vec<Geom> = (0..model.count(Object::Geom)).map(|id| model.geom(id)).collect();
     let count = model.count(Object::Body);
@@ -86,7 +81,7 @@ pub(super) fn balls_path(root: &EntityPath) -> EntityPath {
 }
 
 /// Returns true if the scene has more than the robot and the ground.
-pub(super) fn has_obstacles(model: &Model) -> Result<bool, RecordError> {
+pub(super) fn has_obstacles(model: &Model) -> Result<bool> {
     let trunk = model.id(Object::Body, "trunk")?;
     let mut geoms = (0..model.count(Object::Geom)).map(|id| model.geom(id));
     Ok(geoms.any(|geom| !is_ground(&geom) && !model.is_below(geom.body, trunk)))
@@ -163,7 +158,7 @@ impl Solid {
 }
 
 /// Logs the geometries of a body, one batch for each kind.
-fn log_solids(stream: &Stream, path: &EntityPath, solids: &[Solid]) -> Result<(), RecordError> {
+fn log_solids(stream: &Stream, path: &EntityPath, solids: &[Solid]) -> Result<()> {
     let half_sizes = |batch: &[&Solid]| batch.iter().map(|solid| HalfSize3D::from(solid.size)).collect::<Vec<_>>();
     let lengths = |batch: &[&Solid]| batch.iter().map(|solid| 2.0 * solid.size[1]).collect::<Vec<f32>>();
     let radii = |batch: &[&Solid]| batch.iter().map(|solid| solid.size[0]).collect::<Vec<f32>>();

@@ -8,7 +8,7 @@ where they are slippery and brown where they are not.
 
 use rerun::{EntityPath, Mesh3D};
 
-use super::RecordError;
+use super::Result;
 use super::geometry::{child, scene_path};
 use super::stream::Stream;
 use super::style::{BACKGROUND, Rgb, opaque};
@@ -41,12 +41,7 @@ pub(super) struct Patch {
 }
 
 /// Logs every plane and height field of the world; returns the patches of the planes.
-pub(super) fn log_grounds(
-    stream: &Stream,
-    root: &EntityPath,
-    model: &Model,
-    ground: &Ground,
-) -> Result<Vec<Patch>, RecordError> {
+pub(super) fn log_grounds(stream: &Stream, root: &EntityPath, model: &Model, ground: &Ground) -> Result<Vec<Patch>> {
     let mut patches = Vec::new();
     for geom in (0..model.count(Object::Geom)).map(|id| model.geom(id)) {
         let name = if geom.name.is_empty() { "ground" } else { &geom.name };
@@ -65,7 +60,7 @@ pub(super) fn log_grounds(
 
 impl Patch {
     /// Moves the patch so that it stays under the robot.
-    pub(super) fn follow(&mut self, stream: &Stream, [x, y, _]: [f32; 3]) -> Result<(), RecordError> {
+    pub(super) fn follow(&mut self, stream: &Stream, [x, y, _]: [f32; 3]) -> Result<()> {
         let period = 2.0 * SQUARE_M;
         let cell = [x, y].map(|value| (value / period).round() as i32);
         if self.cell == Some(cell) {

@@ -67,6 +67,8 @@ pub enum RecordError {
     Rerun(#[from] rerun::RecordingStreamError),
 }
 
+type Result<T, E = RecordError> = std::result::Result<T, E>;
+
 /// A robot to be recorded, and how it is drawn.
 #[derive(Debug, Clone, Copy)]
 pub struct RobotView<'a> {
@@ -104,7 +106,7 @@ impl<'a> RobotView<'a> {
 ///
 /// # Errors
 /// The file cannot be written, or the model has no trunk.
-pub fn record(path: &Path, title: &str, name: &str, scene: &Scene, trace: &Trace) -> Result<(), RecordError> {
+pub fn record(path: &Path, title: &str, name: &str, scene: &Scene, trace: &Trace) -> Result<()> {
     let model = scene.compile_visual()?;
     let estimates = trace.frames.iter().any(|frame| frame.sensed.is_some());
     let view = RobotView { estimates, ..RobotView::new(name, &model, scene) };
@@ -124,7 +126,7 @@ impl Recorder {
     ///
     /// # Errors
     /// The file cannot be created, no viewer answers, or a model has no trunk.
-    pub fn new(sink: Sink, title: &str, robots: &[RobotView<'_>]) -> Result<Self, RecordError> {
+    pub fn new(sink: Sink, title: &str, robots: &[RobotView<'_>]) -> Result<Self> {
         Self::on(Stream::open(sink, title, false)?, robots)
     }
 
@@ -133,11 +135,11 @@ impl Recorder {
     ///
     /// # Errors
     /// No viewer answers, or a model has no trunk.
-    pub fn live(sink: Sink, title: &str, robots: &[RobotView<'_>]) -> Result<Self, RecordError> {
+    pub fn live(sink: Sink, title: &str, robots: &[RobotView<'_>]) -> Result<Self> {
         Self::on(Stream::open(sink, title, true)?, robots)
     }
 
-    fn on(stream: Stream, robots: &[RobotView<'_>]) -> Result<Self, RecordError> {
+    fn on(stream: Stream, robots: &[RobotView<'_>]) -> Result<Self> {
         let names: Vec<&str> = robots.iter().map(|robot| robot.name).collect();
         let mut shown = Shown { obstacles: false, estimates: robots.iter().any(|robot| robot.estimates) };
         for robot in robots {
@@ -150,19 +152,19 @@ impl Recorder {
         Ok(Recorder { stream, robots })
     }
 
-    fn robot(&mut self, index: usize) -> Result<(&mut Robot, &Stream), RecordError> {
+    fn robot(&mut self, index: usize) -> Result<(&mut Robot, &Stream)> {
         let count = self.robots.len();
         let robot = self.robots.get_mut(index).ok_or(RecordError::Robot(index, count))?;
         Ok((robot, &self.stream))
     }
 
-    fn frame(&mut self, robot: usize, frame: &Frame) -> Result<(), RecordError> {
+    fn frame(&mut self, robot: usize, frame: &Frame) -> Result<()> {
         let (robot, stream) = self.robot(robot)?;
         robot.frame(stream, frame)?;
         self.stream.end_frame()
     }
 
-    fn event(&mut self, robot: usize, event: &Event) -> Result<(), RecordError> {
+    fn event(&mut self, robot: usize, event: &Event) -> Result<()> {
         let (robot, stream) = self.robot(robot)?;
         robot.event(stream, event)
     }
@@ -173,7 +175,7 @@ impl Recorder {
     /// # Errors
     /// There is no such robot, the frame does not fit its model, or the recording has failed: the disk is full, or the viewer has
     /// disconnected.
-    pub fn step(&mut self, robot: usize, frame: Option<&Frame>, events: &[Event]) -> Result<(), RecordError> {
+    pub fn step(&mut self, robot: usize, frame: Option<&Frame>, events: &[Event]) -> Result<()> {
         frame.map_or(Ok(()), |frame| self.frame(robot, frame))?;
         events.iter().try_for_each(|event| self.event(robot, event))
     }
@@ -182,7 +184,7 @@ impl Recorder {
     ///
     /// # Errors
     /// There is no such robot, or the recording has failed.
-    pub fn begin_again(&mut self, robot: usize) -> Result<(), RecordError> {
+    pub fn begin_again(&mut self, robot: usize) -> Result<()> {
         let (robot, stream) = self.robot(robot)?;
         robot.begin_again(stream)
     }
@@ -191,7 +193,7 @@ impl Recorder {
     ///
     /// # Errors
     /// rerun cannot encode the data.
-    pub fn take(&mut self) -> Result<Vec<u8>, RecordError> {
+    pub fn take(&mut self) -> Result<Vec<u8>> {
         self.stream.take()
     }
 
@@ -200,7 +202,7 @@ impl Recorder {
     /// # Errors
     /// A frame does not fit the robot's model, or the recording has failed: the disk is full, or the viewer has
     /// disconnected.
-    pub fn trace(&mut self, robot: usize, trace: &Trace) -> Result<(), RecordError> {
+    pub fn trace(&mut self, robot: usize, trace: &Trace) -> Result<()> {
         let mut events = trace.events.iter().peekable();
         for (index, frame) in trace.frames.iter().enumerate() {
             self.frame(robot, frame)?;
@@ -217,7 +219,7 @@ impl Recorder {
     ///
     /// # Errors
     /// The disk is full, or the viewer has disconnected: the recording is incomplete.
-    pub fn finish(self) -> Result<(), RecordError> {
+    pub fn finish(self) -> Result<()> {
         self.stream.finish()
     }
 }

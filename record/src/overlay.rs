@@ -10,7 +10,7 @@ use rerun::{
     Arrows3D, AsComponents, Color, Ellipsoids3D, EntityPath, FillMode, LineStrips3D, Points3D, Quaternion, Radius,
 };
 
-use super::RecordError;
+use super::Result;
 use super::geometry::child;
 use super::marks::{self, Arrow};
 use super::stream::Stream;
@@ -51,7 +51,7 @@ pub(super) fn overlay_path(robot: &EntityPath) -> EntityPath {
 
 impl Overlay {
     /// Creates the overlay and logs its static parts.
-    pub(super) fn new(stream: &Stream, robot: &EntityPath, ground: &Ground, colour: Rgb) -> Result<Self, RecordError> {
+    pub(super) fn new(stream: &Stream, robot: &EntityPath, ground: &Ground, colour: Rgb) -> Result<Self> {
         let overlay = Overlay {
             root: overlay_path(robot),
             ground: ground.clone(),
@@ -70,7 +70,7 @@ impl Overlay {
     }
 
     /// Logs the marks of a frame at the current time.
-    pub(super) fn frame(&mut self, stream: &Stream, frame: &Frame, trunk: [f32; 3]) -> Result<(), RecordError> {
+    pub(super) fn frame(&mut self, stream: &Stream, frame: &Frame, trunk: [f32; 3]) -> Result<()> {
         self.trunk = trunk;
         self.log_trails(stream, frame, trunk)?;
         self.log_shadows(stream, frame, trunk)?;
@@ -82,7 +82,7 @@ impl Overlay {
     }
 
     /// Logs the label of an event at the current time; that of a fall stays.
-    pub(super) fn event(&mut self, stream: &Stream, event: &Event) -> Result<(), RecordError> {
+    pub(super) fn event(&mut self, stream: &Stream, event: &Event) -> Result<()> {
         if self.label_until_s == Some(f64::INFINITY) {
             return Ok(());
         }
@@ -100,13 +100,13 @@ impl Overlay {
         stream.replace(&self.entity("label"), &label)
     }
 
-    pub(super) fn begin_again(&mut self, stream: &Stream) -> Result<(), RecordError> {
+    pub(super) fn begin_again(&mut self, stream: &Stream) -> Result<()> {
         self.trunk_trail.clear();
         self.foot_trails.iter_mut().for_each(VecDeque::clear);
         self.end_label(stream)
     }
 
-    fn end_label(&mut self, stream: &Stream) -> Result<(), RecordError> {
+    fn end_label(&mut self, stream: &Stream) -> Result<()> {
         match self.label_until_s.take() {
             Some(_) => stream.clear(&self.entity("label"), &Points3D::clear_fields()),
             None => Ok(()),
@@ -120,7 +120,7 @@ impl Overlay {
         name: &'static str,
         mark: Option<T>,
         nothing: fn() -> T,
-    ) -> Result<(), RecordError> {
+    ) -> Result<()> {
         let path = self.entity(name);
         match mark {
             Some(mark) => {
@@ -142,7 +142,7 @@ impl Overlay {
     }
 
     /// Moves the label of an event with the robot, and removes it when its time is over.
-    fn log_label(&mut self, stream: &Stream, time_s: f64) -> Result<(), RecordError> {
+    fn log_label(&mut self, stream: &Stream, time_s: f64) -> Result<()> {
         match self.label_until_s {
             Some(until) if time_s > until => self.end_label(stream),
             Some(_) => {
@@ -153,7 +153,7 @@ impl Overlay {
         }
     }
 
-    fn log_trails(&mut self, stream: &Stream, frame: &Frame, trunk: [f32; 3]) -> Result<(), RecordError> {
+    fn log_trails(&mut self, stream: &Stream, frame: &Frame, trunk: [f32; 3]) -> Result<()> {
         if is_due(&mut self.next_trunk_trail_s, frame.time_s, TRUNK_TRAIL.0) {
             let below = self.on_ground(trunk);
             push_limited(&mut self.trunk_trail, below, TRUNK_TRAIL.1);
@@ -175,7 +175,7 @@ impl Overlay {
 
     /// Logs the shapes of the shadows: one with a soft rim below the trunk, unless the ground is uneven, and one for
     /// each foot.
-    fn log_shadow_looks(&self, stream: &Stream) -> Result<(), RecordError> {
+    fn log_shadow_looks(&self, stream: &Stream) -> Result<()> {
         let dark = |alpha| Color::from_unmultiplied_rgba(0, 0, 0, alpha);
         if self.ground == Ground::Flat {
             let rims = (0..8).map(|rim| 0.022 * rim as f32);
@@ -191,7 +191,7 @@ impl Overlay {
         stream.log_static(&self.entity("foot shadows"), &feet)
     }
 
-    fn log_shadows(&self, stream: &Stream, frame: &Frame, trunk: [f32; 3]) -> Result<(), RecordError> {
+    fn log_shadows(&self, stream: &Stream, frame: &Frame, trunk: [f32; 3]) -> Result<()> {
         if self.ground == Ground::Flat {
             let half_yaw = (frame.roll_pitch_yaw[2] / 2.0) as f32;
             let turned = Quaternion::from_xyzw([0.0, 0.0, half_yaw.sin(), half_yaw.cos()]);
@@ -201,13 +201,13 @@ impl Overlay {
         stream.log(&self.entity("foot shadows"), &Ellipsoids3D::update_fields().with_centers(feet))
     }
 
-    fn log_foot_forces(&self, stream: &Stream, frame: &Frame) -> Result<(), RecordError> {
+    fn log_foot_forces(&self, stream: &Stream, frame: &Frame) -> Result<()> {
         let arrow = |leg: usize| (frame.foot_positions[leg], frame.foot_forces[leg].map(|f| f * METRES_PER_NEWTON));
         stream.log(&self.entity("foot forces"), &arrows(&[0, 1, 2, 3].map(arrow), 0.006, LIGHT_GREEN))
     }
 
     /// Logs the felt forces: on the trunk above it, on the feet beside their true ones. In doubt, the arrows are grey.
-    fn log_felt(&self, stream: &Stream, frame: &Frame, trunk: [f32; 3]) -> Result<(), RecordError> {
+    fn log_felt(&self, stream: &Stream, frame: &Frame, trunk: [f32; 3]) -> Result<()> {
         let Some((on_trunk, on_feet)) = marks::felt(frame, trunk.map(f64::from), METRES_PER_NEWTON) else {
             return Ok(());
         };
@@ -218,7 +218,7 @@ impl Overlay {
 
     /// Logs the disturbance of a frame: pushes and pressing obstacles as arrows that end at the trunk; a pull as a rope
     /// that starts there, with the force at its far end.
-    fn log_disturbance(&mut self, stream: &Stream, frame: &Frame, trunk: [f32; 3]) -> Result<(), RecordError> {
+    fn log_disturbance(&mut self, stream: &Stream, frame: &Frame, trunk: [f32; 3]) -> Result<()> {
         let trunk = trunk.map(f64::from);
         if let Some(DisturbanceMark::Push { velocity }) = frame.mark {
             self.push = Some((frame.time_s + PUSH_SHOWN_S, velocity));
@@ -245,7 +245,7 @@ impl Overlay {
     }
 
     /// Logs a rope with a load: bright while it pulls, grey while it is slack.
-    fn log_rope(&mut self, stream: &Stream, frame: &Frame) -> Result<(), RecordError> {
+    fn log_rope(&mut self, stream: &Stream, frame: &Frame) -> Result<()> {
         let rope = frame.rope.as_ref().filter(|rope| rope.points.len() > 1);
         let colour = |force_n: f64| if force_n > 0.0 { YELLOW } else { GREY };
         let strip = rope.map(|rope| lines([&rope.points], 0.003, colour(rope.force_n)));

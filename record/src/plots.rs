@@ -5,7 +5,7 @@ A plot shows every robot's quantity in the robot's colour and, where there is on
 
 use rerun::{EntityPath, Scalars, SeriesLines};
 
-use super::RecordError;
+use super::Result;
 use super::geometry::child;
 use super::stream::Stream;
 use super::style::{BLUE, GREEN, GREY, ORANGE, PURPLE, Rgb, SKY, lighter, opaque};
@@ -154,7 +154,7 @@ impl Plot {
 }
 
 /// Logs names and colours of a robot's series, once at the start.
-pub(super) fn log_styles(stream: &Stream, robot: &str, colour: Rgb, is_first: bool) -> Result<(), RecordError> {
+pub(super) fn log_styles(stream: &Stream, robot: &str, colour: Rgb, is_first: bool) -> Result<()> {
     for plot in PLOTS {
         let estimated = format!("{robot}, estimated");
         let (names, colours): (Vec<&str>, Vec<Rgb>) = match plot.series {
@@ -174,13 +174,7 @@ pub(super) fn log_styles(stream: &Stream, robot: &str, colour: Rgb, is_first: bo
 }
 
 /// Logs a robot's values at the current time.
-pub(super) fn log_values(
-    stream: &Stream,
-    robot: &str,
-    is_first: bool,
-    shown: Shown,
-    frame: &Frame,
-) -> Result<(), RecordError> {
+pub(super) fn log_values(stream: &Stream, robot: &str, is_first: bool, shown: Shown, frame: &Frame) -> Result<()> {
     for plot in plots(shown) {
         let mut values = (plot.values)(frame);
         if plot.series == Series::Tracking && !is_first {

@@ -12,7 +12,7 @@ use super::overlay::{Overlay, overlay_path};
 use super::plots::{self, Shown};
 use super::stream::Stream;
 use super::style::{BLUE, CAMERA_LAG_S, EYE_DISTANCE_M};
-use super::{RecordError, RobotView};
+use super::{RecordError, Result, RobotView};
 use supple::mujoco::Object;
 use supple::scenario::trace::{Event, EventKind, Frame, Pose};
 use supple::task::Stage;
@@ -43,12 +43,7 @@ pub(super) struct Robot {
 
 impl Robot {
     /// Logs all static parts.
-    pub(super) fn new(
-        stream: &Stream,
-        view: &RobotView<'_>,
-        is_first: bool,
-        shown: Shown,
-    ) -> Result<Self, RecordError> {
+    pub(super) fn new(stream: &Stream, view: &RobotView<'_>, is_first: bool, shown: Shown) -> Result<Self> {
         let root = robot_path(view.name);
         let colour = view.tint.unwrap_or(BLUE);
         let model = view.model;
@@ -77,7 +72,7 @@ impl Robot {
     }
 
     /// Logs a frame at the current time.
-    pub(super) fn frame(&mut self, stream: &Stream, frame: &Frame) -> Result<(), RecordError> {
+    pub(super) fn frame(&mut self, stream: &Stream, frame: &Frame) -> Result<()> {
         if frame.bodies.len() != self.body_count {
             let (expected, found) = (self.body_count, frame.bodies.len());
             return Err(RecordError::Bodies { robot: self.name.clone(), expected, found });
@@ -109,7 +104,7 @@ impl Robot {
     }
 
     /// Logs an event as text and as a label at the robot.
-    pub(super) fn event(&mut self, stream: &Stream, event: &Event) -> Result<(), RecordError> {
+    pub(super) fn event(&mut self, stream: &Stream, event: &Event) -> Result<()> {
         let level = match event.kind {
             EventKind::Disturbance => TextLogLevel::WARN,
             EventKind::Success => TextLogLevel::INFO,
@@ -123,19 +118,19 @@ impl Robot {
     }
 
     /// Removes labels and trails after the robot was placed at its start or on its feet.
-    pub(super) fn begin_again(&mut self, stream: &Stream) -> Result<(), RecordError> {
+    pub(super) fn begin_again(&mut self, stream: &Stream) -> Result<()> {
         self.camera = None;
         self.overlay.begin_again(stream)
     }
 
-    fn log_text(&self, stream: &Stream, time_s: f64, text: &str, level: &str) -> Result<(), RecordError> {
+    fn log_text(&self, stream: &Stream, time_s: f64, text: &str, level: &str) -> Result<()> {
         // Whole milliseconds: the log's narrow column shows no more.
         stream.set_time((time_s * 1e3).round() / 1e3)?;
         let log = TextLog::new(format!("{}: {text}", self.name)).with_level(level);
         stream.log(&events_path(&self.name), &log)
     }
 
-    fn log_poses(&mut self, stream: &Stream, frame: &Frame) -> Result<(), RecordError> {
+    fn log_poses(&mut self, stream: &Stream, frame: &Frame) -> Result<()> {
         for ((body, path), last) in self.parts.bodies.iter().zip(&mut self.last_poses) {
             let pose = frame.bodies[*body];
             if !last.is_some_and(|last| is_same(&last, &pose)) {
@@ -147,7 +142,7 @@ impl Robot {
         Ok(())
     }
 
-    fn log_balls(&mut self, stream: &Stream, frame: &Frame) -> Result<(), RecordError> {
+    fn log_balls(&mut self, stream: &Stream, frame: &Frame) -> Result<()> {
         self.frames += 1;
         if self.parts.balls.len() > BALLS_IN_EVERY_FRAME && self.frames.is_multiple_of(2) {
             return Ok(());
@@ -167,7 +162,7 @@ impl Robot {
         Ok(())
     }
 
-    fn log_camera(&mut self, stream: &Stream, time_s: f64, target: [f32; 3]) -> Result<(), RecordError> {
+    fn log_camera(&mut self, stream: &Stream, time_s: f64, target: [f32; 3]) -> Result<()> {
         let position = match self.camera {
             Some((then_s, last)) => {
                 let weight = 1.0 - (-((time_s - then_s) as f32).max(0.0) / CAMERA_LAG_S).exp();
@@ -181,7 +176,7 @@ impl Robot {
 }
 
 /// Logs two invisible points, whose distance sets the distance of the camera.
-fn log_camera_size(stream: &Stream, robot: &str) -> Result<(), RecordError> {
+fn log_camera_size(stream: &Stream, robot: &str) -> Result<()> {
     // The viewer goes to 1.5 times the radius of the box around the entity.
     let half = EYE_DISTANCE_M / 1.5;
     let points = [[[0.0, 0.0, -half]; 2], [[0.0, 0.0, half]; 2]];

@@ -28,8 +28,8 @@ use rerun::{
 };
 use supple::util::files::{FileError, Target};
 
-use super::RecordError;
 use super::style::PATIENCE;
+use super::{RecordError, Result};
 
 /// Name under which viewers store our recordings and layouts.
 pub(super) const APPLICATION: &str = "supple";
@@ -57,7 +57,7 @@ pub enum Sink {
 ///
 /// # Errors
 /// The name has another ending or none, or stands for a folder or standard output.
-pub fn check_name(path: &Path) -> Result<(), RecordError> {
+pub fn check_name(path: &Path) -> Result<()> {
     let problem = match Target::of(path).map_err(cannot_create(path))? {
         Target::Output => "a recording cannot go to standard output: name a file".to_owned(),
         Target::File(_) if path.extension().is_none_or(|ending| !ending.eq_ignore_ascii_case("rrd")) => format!(
@@ -82,13 +82,13 @@ pub fn page_url(port: u16) -> String {
 const LOCAL: &str = "127.0.0.1";
 
 /// Returns a builder that ignores the variable `RERUN`, because `RERUN=off` would silently lose a requested recording.
-fn builder(title: &str) -> Result<RecordingStreamBuilder, RecordError> {
+fn builder(title: &str) -> Result<RecordingStreamBuilder> {
     check_clock(SystemTime::now())?;
     Ok(RecordingStreamBuilder::new(APPLICATION).enabled(true).recording_name(title))
 }
 
 /// Refuses a time at which rerun would panic.
-pub(super) fn check_clock(now: SystemTime) -> Result<(), RecordError> {
+pub(super) fn check_clock(now: SystemTime) -> Result<()> {
     if now < SystemTime::UNIX_EPOCH { Err(RecordError::Clock) } else { Ok(()) }
 }
 
@@ -115,7 +115,7 @@ pub(super) struct Stream {
 
 impl Stream {
     /// Creates the file, connects to the viewer, or starts to store data in memory.
-    pub(super) fn open(sink: Sink, title: &str, is_live: bool) -> Result<Self, RecordError> {
+    pub(super) fn open(sink: Sink, title: &str, is_live: bool) -> Result<Self> {
         let builder = builder(title)?;
         let (mut memory, mut file, mut page) = (None, None, None);
         let (recording, target) = match sink {
@@ -169,20 +169,20 @@ impl Stream {
     }
 
     /// Takes the data logged since the last call, as a complete `.rrd` file.
-    pub(super) fn take(&mut self) -> Result<Vec<u8>, RecordError> {
+    pub(super) fn take(&mut self) -> Result<Vec<u8>> {
         self.flush()?;
         Ok(self.memory.as_ref().and_then(BinaryStreamStorage::read).unwrap_or_default())
     }
 
     /// Returns the rerun stream, or the error of a stream that has failed.
-    pub(super) fn recording(&self) -> Result<&RecordingStream, RecordError> {
+    pub(super) fn recording(&self) -> Result<&RecordingStream> {
         let problem =
             || RecordError::Write(self.target.clone(), "it has failed before and takes no more data".to_owned());
         self.recording.as_ref().ok_or_else(problem)
     }
 
     /// Sets the current time, for all data logged from now on \[s\].
-    pub(super) fn set_time(&self, time_s: f64) -> Result<(), RecordError> {
+    pub(super) fn set_time(&self, time_s: f64) -> Result<()> {
         if !self.is_live {
             self.recording()?.set_duration_secs(TIMELINE, time_s);
         }
@@ -190,18 +190,13 @@ impl Stream {
     }
 
     /// Logs data at the current time.
-    pub(super) fn log(&self, path: &EntityPath, data: &impl AsComponents) -> Result<(), RecordError> {
+    pub(super) fn log(&self, path: &EntityPath, data: &impl AsComponents) -> Result<()> {
         let recording = self.recording()?;
         Ok(if self.is_live { recording.log_static(path.clone(), data) } else { recording.log(path.clone(), data) }?)
     }
 
     /// Logs position and orientation of an entity.
-    pub(super) fn place(
-        &self,
-        path: &EntityPath,
-        translation: [f32; 3],
-        quaternion: Option<Quaternion>,
-    ) -> Result<(), RecordError> {
+    pub(super) fn place(&self, path: &EntityPath, translation: [f32; 3], quaternion: Option<Quaternion>) -> Result<()> {
         if self.is_live {
             let pose = InstancePoses3D::update_fields().with_translations([translation]);
             return match quaternion {
@@ -218,7 +213,7 @@ impl Stream {
 
     /// Replaces all data of an entity. Data of one flush arrive in any order, and in a live stream an update that
     /// arrives after its replacement would stay for ever: so the stream is flushed first.
-    pub(super) fn replace(&self, path: &EntityPath, data: &impl AsComponents) -> Result<(), RecordError> {
+    pub(super) fn replace(&self, path: &EntityPath, data: &impl AsComponents) -> Result<()> {
         if self.is_live {
             self.recording()?.flush_with_timeout(PATIENCE).map_err(|error| self.unwritten(&error))?;
         }
@@ -226,22 +221,22 @@ impl Stream {
     }
 
     /// Removes an entity; `nothing` is the same archetype without content.
-    pub(super) fn clear(&self, path: &EntityPath, nothing: &impl AsComponents) -> Result<(), RecordError> {
+    pub(super) fn clear(&self, path: &EntityPath, nothing: &impl AsComponents) -> Result<()> {
         if self.is_live { self.replace(path, nothing) } else { self.log(path, &Clear::flat()) }
     }
 
     /// Logs static data, which hold at all times.
-    pub(super) fn log_static(&self, path: &EntityPath, data: &impl AsComponents) -> Result<(), RecordError> {
+    pub(super) fn log_static(&self, path: &EntityPath, data: &impl AsComponents) -> Result<()> {
         Ok(self.recording()?.log_static(path.clone(), data)?)
     }
 
     /// Counts a frame, and flushes regularly to check that the data have arrived.
-    pub(super) fn end_frame(&mut self) -> Result<(), RecordError> {
+    pub(super) fn end_frame(&mut self) -> Result<()> {
         self.frames = (self.frames + 1) % self.frames_per_flush;
         if self.frames == 0 { self.flush() } else { Ok(()) }
     }
 
-    fn flush(&mut self) -> Result<(), RecordError> {
+    fn flush(&mut self) -> Result<()> {
         let flushed = self.recording()?.flush_with_timeout(PATIENCE);
         flushed.map_err(|error| {
             self.recording.take().map(drop_in_background);
@@ -255,7 +250,7 @@ impl Stream {
     }
 
     /// Writes all data and closes the file or the connection.
-    pub(super) fn finish(mut self) -> Result<(), RecordError> {
+    pub(super) fn finish(mut self) -> Result<()> {
         self.flush()?;
         let failed = |reason: &str| RecordError::Write(self.target.clone(), reason.to_owned());
         let closed = self.recording.take().map(drop_in_background);
@@ -271,7 +266,7 @@ impl Stream {
 }
 
 /// Serves a recording on `port + 1` and a viewer's page for it on `port`.
-fn serve(builder: RecordingStreamBuilder, port: u16) -> Result<(RecordingStream, Page), RecordError> {
+fn serve(builder: RecordingStreamBuilder, port: u16) -> Result<(RecordingStream, Page)> {
     let no_port = || RecordError::Serve(port, "there is no port after it for the data".into());
     let data_port = port.checked_add(1).ok_or_else(no_port)?;
     // rerun's own servers report a port that is taken to their log, not to us.

@@ -56,6 +56,8 @@ pub enum VideoError {
     Encode(Box<dyn std::error::Error + Send + Sync>),
 }
 
+type Result<T, E = VideoError> = std::result::Result<T, E>;
+
 fn cannot_write<E: ToString>(path: &Path) -> impl Fn(E) -> FileError + Copy {
     FileError::of("cannot write the video", path)
 }
@@ -74,7 +76,7 @@ impl Video {
     ///
     /// # Errors
     /// The ending is none of `.mp4`, `.webp` and `.gif`, the size is out of range, or no OpenGL without a screen is installed.
-    pub fn new(path: &Path, size: [usize; 2]) -> Result<Self, VideoError> {
+    pub fn new(path: &Path, size: [usize; 2]) -> Result<Self> {
         let format = Format::of(path).ok_or_else(|| {
             let name = path.with_extension("mp4");
             let words = "its name says what it is and ends with .mp4, .webp or .gif; name it";
@@ -101,7 +103,7 @@ impl Video {
         title: &str,
         robots: &[(RobotView<'_>, &Trace)],
         mut drawn: impl FnMut(u64, u64),
-    ) -> Result<(), VideoError> {
+    ) -> Result<()> {
         let failed = cannot_write(&self.path);
         if let Some(folder) = self.path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
             std::fs::create_dir_all(folder).map_err(failed)?;
@@ -126,7 +128,7 @@ impl Video {
         title: &str,
         robots: &[(RobotView<'_>, &Trace)],
         drawn: &mut dyn FnMut(u64, u64),
-    ) -> Result<Vec<u8>, VideoError> {
+    ) -> Result<Vec<u8>> {
         let mut panel = Panel::new(self.size, title, robots)?;
         let mut encoder = Encoder::new(self.format, self.size)?;
         let end_s = robots.iter().filter_map(|(_, trace)| Some(trace.frames.last()?.time_s)).fold(0.0, f64::max);

@@ -1,7 +1,7 @@
 //! Titles, captions and the plot around the pictures of a video.
 
-use super::VideoError;
 use super::canvas::{Anchor, Canvas, Fonts, Style};
+use super::{Result, VideoError};
 use crate::RobotView;
 use crate::style::{BLUE, LABEL_SHOWN_S, Rgb};
 use supple::scenario::metrics::{BRIEF_S, SETTLE_S};
@@ -42,11 +42,7 @@ struct Curve<'a> {
 }
 
 impl<'a> Panel<'a> {
-    pub(super) fn new(
-        size: [usize; 2],
-        title: &'a str,
-        robots: &[(RobotView<'_>, &'a Trace)],
-    ) -> Result<Self, VideoError> {
+    pub(super) fn new(size: [usize; 2], title: &'a str, robots: &[(RobotView<'_>, &'a Trace)]) -> Result<Self> {
         let fonts = Fonts::new().map_err(|error| VideoError::Encode(error.into()))?;
         let [width, height] = size.map(|length| length as f32);
         let unit = height / 540.0;

@@ -1,6 +1,6 @@
 //! The picture of one robot at a time of its playback: the scene, a camera that follows, the marks of forces, the path behind.
 
-use super::VideoError;
+use super::{Result, VideoError};
 use crate::marks::{self, Arrow};
 use crate::style::{BLUE, CAMERA_LAG_S, GREY, PURPLE, PUSH_SHOWN_S, Rgb, VERMILLION, YELLOW};
 use crate::{RobotView, geometry};
@@ -33,7 +33,7 @@ pub(super) struct View<'a> {
 }
 
 impl<'a> View<'a> {
-    pub(super) fn new(robot: &RobotView<'a>, trace: &'a Trace, size: [usize; 2]) -> Result<Self, VideoError> {
+    pub(super) fn new(robot: &RobotView<'a>, trace: &'a Trace, size: [usize; 2]) -> Result<Self> {
         if trace.frames.is_empty() {
             return Err(VideoError::Empty(robot.name.to_owned()));
         }
@@ -46,7 +46,7 @@ impl<'a> View<'a> {
     }
 
     /// Returns the picture at a time \[s\], or at the end of a shorter playback.
-    pub(super) fn picture(&mut self, time_s: f64) -> Result<Vec<u8>, VideoError> {
+    pub(super) fn picture(&mut self, time_s: f64) -> Result<Vec<u8>> {
         let later = self.trace.frames.partition_point(|frame| frame.time_s < time_s + 1e-6);
         let past = &self.trace.frames[..later.max(1)];
         let frame = &past[past.len() - 1];
