@@ -151,9 +151,8 @@ impl Saver {
             let (session, word) = (terminal::shell_word(session), terminal::shell_word(&recording));
             // What cannot be removed is empty or cut off, as the note says.
             let _ = fs::remove_file(&recording);
-            terminal::note(format_args!(
-                "the recording {name} was given up; write it with: drive --replay {session} --record {word}"
-            ));
+            let command = format!("drive --replay {session} --record {word}");
+            terminal::note(format_args!("the recording {name} was given up; write it with: {command}"));
         }
     }
 }
@@ -182,9 +181,8 @@ fn hand_on(saved: Saved, to: &SyncSender<Saved>, unfinished: &Unfinished) -> Str
     with(unfinished, |all| all.retain(|path| *path != recording));
     // It is empty, and was only to reserve the name.
     let _ = fs::remove_file(recording);
-    format!(
-        "saved the session as {session}, without a recording, because others wait: `--replay` with `--record` writes it"
-    )
+    let hint = "because others wait: `--replay` with `--record` writes it";
+    format!("saved the session as {session}, without a recording, {hint}")
 }
 
 /// Writes a session under the first free name of a folder; returns its path and that of its recording, an empty file.

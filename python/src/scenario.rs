@@ -1,6 +1,6 @@
 //! Scenarios for Python: plays a disturbance of a policy and returns metrics, trace and events.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -83,28 +83,22 @@ fn play(policy: &Policy, script: &Script, sensing: Sensing, seed: u64, with_bodi
 }
 
 #[cfg(feature = "record")]
-fn check_recording(path: &std::path::Path) -> PyResult<()> {
+fn check_recording(path: &Path) -> PyResult<()> {
     supple_record::check_name(path).map_err(refused)
 }
 
 #[cfg(not(feature = "record"))]
-fn check_recording(_: &std::path::Path) -> PyResult<()> {
+fn check_recording(_: &Path) -> PyResult<()> {
     Ok(())
 }
 
 #[cfg(feature = "record")]
-fn recorded(
-    path: &std::path::Path,
-    scenario: &Scenario,
-    policy: &Policy,
-    script: &Script,
-    trace: &Trace,
-) -> PyResult<()> {
+fn recorded(path: &Path, scenario: &Scenario, policy: &Policy, script: &Script, trace: &Trace) -> PyResult<()> {
     supple_record::record(path, scenario.name(), &policy.name, &script.scene, trace).map_err(failed)
 }
 
 #[cfg(not(feature = "record"))]
-fn recorded(_: &std::path::Path, _: &Scenario, _: &Policy, _: &Script, _: &Trace) -> PyResult<()> {
+fn recorded(_: &Path, _: &Scenario, _: &Policy, _: &Script, _: &Trace) -> PyResult<()> {
     Err(pyo3::exceptions::PyRuntimeError::new_err("this wheel was built without recordings"))
 }
 

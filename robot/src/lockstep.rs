@@ -72,7 +72,7 @@ pub fn rehearse(
         if let Ok(reading) = Reading::new(&body.state(remote)) {
             bridge.take(reading, now_s);
         }
-        notes.extend(bridge.notes().into_iter().map(|note| format!("{now_s:.3} s: {note}")));
+        notes.extend(bridge.notes.drain(..).map(|note| format!("{now_s:.3} s: {note}")));
         if let Some(row) = bridge.row(now_s) {
             log.push((bridge.phase.name(), row));
         }

@@ -24,7 +24,7 @@ use std::sync::mpsc::SyncSender;
 use std::thread;
 use std::time::SystemTime;
 
-use anyhow::Context;
+use anyhow::{Context, Result};
 use axum::Router;
 use axum::middleware::from_fn_with_state;
 use axum::routing::get;
@@ -70,13 +70,7 @@ pub struct Serving {
 ///
 /// # Errors
 /// The port cannot be opened, no thread can be had, or the clock of this machine is before 1970.
-pub fn start(
-    ip: IpAddr,
-    port: u16,
-    robots: SyncSender<Message>,
-    updates: Updates,
-    hello: Value,
-) -> anyhow::Result<Serving> {
+pub fn start(ip: IpAddr, port: u16, robots: SyncSender<Message>, updates: Updates, hello: Value) -> Result<Serving> {
     anyhow::ensure!(is_clock_right(), "cannot serve pages: the clock of this machine is before 1970; set it");
     // On a thread of our own: one that cannot be had is then no panic.
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
@@ -117,7 +111,7 @@ fn url(mut address: SocketAddr, token: &Token) -> String {
 ///
 /// # Errors
 /// None can be had.
-pub fn start_thread(name: &str, work: impl FnOnce() + Send + 'static) -> anyhow::Result<()> {
+pub fn start_thread(name: &str, work: impl FnOnce() + Send + 'static) -> Result<()> {
     let started = thread::Builder::new().name(name.to_owned()).spawn(work);
     started.map(drop).with_context(|| format!("cannot start the thread for {name}"))
 }

@@ -56,6 +56,9 @@ pub enum VideoError {
     Encode(Box<dyn std::error::Error + Send + Sync>),
 }
 
+/// A robot and its playback.
+type Played<'a> = (RobotView<'a>, &'a Trace);
+
 type Result<T, E = VideoError> = std::result::Result<T, E>;
 
 fn cannot_write<E: ToString>(path: &Path) -> impl Fn(E) -> FileError + Copy {
@@ -98,12 +101,7 @@ impl Video {
     ///
     /// # Errors
     /// A trace has no frames, MuJoCo or the encoder fails, or the file cannot be written.
-    pub fn write(
-        &self,
-        title: &str,
-        robots: &[(RobotView<'_>, &Trace)],
-        mut drawn: impl FnMut(u64, u64),
-    ) -> Result<()> {
+    pub fn write(&self, title: &str, robots: &[Played<'_>], mut drawn: impl FnMut(u64, u64)) -> Result<()> {
         let failed = cannot_write(&self.path);
         if let Some(folder) = self.path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
             std::fs::create_dir_all(folder).map_err(failed)?;
@@ -123,12 +121,7 @@ impl Video {
         }
     }
 
-    fn encode(
-        &self,
-        title: &str,
-        robots: &[(RobotView<'_>, &Trace)],
-        drawn: &mut dyn FnMut(u64, u64),
-    ) -> Result<Vec<u8>> {
+    fn encode(&self, title: &str, robots: &[Played<'_>], drawn: &mut dyn FnMut(u64, u64)) -> Result<Vec<u8>> {
         let mut panel = Panel::new(self.size, title, robots)?;
         let mut encoder = Encoder::new(self.format, self.size)?;
         let end_s = robots.iter().filter_map(|(_, trace)| Some(trace.frames.last()?.time_s)).fold(0.0, f64::max);
@@ -137,8 +130,7 @@ impl Video {
         let size = panel.picture_size();
         // A thread for each robot, on which its renderer stays.
         std::thread::scope(|scope| {
-            let draw = |(robot, trace): &(RobotView<'_>, &Trace), to: SyncSender<_>| match View::new(robot, trace, size)
-            {
+            let draw = |(robot, trace): &Played<'_>, to: SyncSender<_>| match View::new(robot, trace, size) {
                 // Nothing takes the pictures of a video that has failed.
                 Ok(mut view) => drop((1..=count).try_for_each(|frame| to.send(view.picture(time_s(frame))))),
                 Err(error) => drop(to.send(Err(error))),

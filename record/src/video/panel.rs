@@ -1,11 +1,10 @@
 //! Titles, captions and the plot around the pictures of a video.
 
 use super::canvas::{Anchor, Canvas, Fonts, Style};
-use super::{Result, VideoError};
-use crate::RobotView;
+use super::{Played, Result, VideoError};
 use crate::style::{BLUE, LABEL_SHOWN_S, Rgb};
 use supple::scenario::metrics::{BRIEF_S, SETTLE_S};
-use supple::scenario::trace::{Event, EventKind, Frame, Trace};
+use supple::scenario::trace::{Event, EventKind, Frame};
 
 const PAPER: Rgb = [255, 255, 255];
 const INK: Rgb = [45, 52, 60];
@@ -42,11 +41,11 @@ struct Curve<'a> {
 }
 
 impl<'a> Panel<'a> {
-    pub(super) fn new(size: [usize; 2], title: &'a str, robots: &[(RobotView<'_>, &'a Trace)]) -> Result<Self> {
+    pub(super) fn new(size: [usize; 2], title: &'a str, robots: &[Played<'a>]) -> Result<Self> {
         let fonts = Fonts::new().map_err(|error| VideoError::Encode(error.into()))?;
         let [width, height] = size.map(|length| length as f32);
         let unit = height / 540.0;
-        let curve = |(robot, trace): &(RobotView<'_>, &'a Trace)| Curve {
+        let curve = |(robot, trace): &Played<'a>| Curve {
             colour: robot.tint.unwrap_or(BLUE),
             points: deviation(&trace.frames),
             events: &trace.events,
@@ -121,7 +120,7 @@ impl<'a> Panel<'a> {
         [left + (right - left) * time_s / self.ends[0], bottom + (top - bottom) * value / self.ends[1]]
     }
 
-    fn draw_base(&mut self, robots: &[(RobotView<'_>, &Trace)]) {
+    fn draw_base(&mut self, robots: &[Played<'_>]) {
         let mut base = self.base.clone();
         let [left, top, right, bottom] = self.area;
         let unit = self.unit;

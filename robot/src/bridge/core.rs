@@ -64,7 +64,8 @@ pub struct Bridge<'a> {
     pub reading: Option<Reading>,
     /// The command that was computed last.
     pub output: Output,
-    notes: Vec<String>,
+    /// Lines for people, until they are taken.
+    pub notes: Vec<String>,
 }
 
 impl<'a> Bridge<'a> {
@@ -125,11 +126,6 @@ impl<'a> Bridge<'a> {
             target: motors.each_ref().map(|motor| f64::from(motor.q)),
             gains: [f64::from(motors[0].kp), f64::from(motors[0].kd)],
         })
-    }
-
-    /// Takes the lines for people since the last call.
-    pub fn notes(&mut self) -> Vec<String> {
-        std::mem::take(&mut self.notes)
     }
 
     /// Returns the velocities that full sticks mean: the ends of the policy's range.
@@ -588,7 +584,7 @@ mod tests {
             rig.bridge.order(&Order::Command(commanded(compliance)), 0.0);
             assert_eq!(rig.bridge.command, commanded(0.02));
         }
-        assert_eq!(rig.bridge.notes().len(), 4);
+        assert_eq!(rig.bridge.notes.len(), 4);
     }
 
     #[test]

@@ -252,7 +252,7 @@ impl Drive<'_> {
                 self.bridge.fail(Fault::OtherWriter);
             }
             self.step(states);
-            for note in self.bridge.notes() {
+            for note in std::mem::take(&mut self.bridge.notes) {
                 terminal::note(format_args!("{:8.3} s: {note}", self.now_s()));
                 if let Phase::Damped(fault) = &self.bridge.phase
                     && note.starts_with("DAMPED")

@@ -154,14 +154,9 @@ fn open(path: &Path) -> io::Result<BufWriter<File>> {
     Ok(file)
 }
 
-fn write(
-    path: &Path,
-    mut file: BufWriter<File>,
-    rows: u64,
-    receiver: &Receiver<(&'static str, Row)>,
-) -> io::Result<()> {
+fn write(path: &Path, mut file: BufWriter<File>, rows: u64, sent: &Receiver<(&'static str, Row)>) -> io::Result<()> {
     let mut written = 0;
-    for (phase, row) in receiver {
+    for (phase, row) in sent {
         if written == rows {
             file.flush()?;
             std::fs::rename(path, older(path))?;

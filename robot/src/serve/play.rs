@@ -329,11 +329,8 @@ impl<'a> Served<'a> {
 }
 
 /// Opens the page on a port of this machine.
-fn open_page(
-    settings: &Settings,
-    FullSticks([forward, left, yaw]): FullSticks,
-    script: &Script,
-) -> anyhow::Result<Page> {
+fn open_page(settings: &Settings, full: FullSticks, script: &Script) -> anyhow::Result<Page> {
+    let [forward, left, yaw] = full.0;
     let (page, to_robot) = Page::new(&script.scene, settings.seed, Command::velocity(forward, left, yaw));
     let url = page.serve(to_robot, settings.port)?;
     terminal::note(format_args!("push and pull the robot at {url}"));
