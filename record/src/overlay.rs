@@ -114,13 +114,10 @@ impl Overlay {
     }
 
     /// Draws a mark, or removes the one that was drawn; `nothing` is a mark without content.
-    fn draw<T: AsComponents>(
-        &mut self,
-        stream: &Stream,
-        name: &'static str,
-        mark: Option<T>,
-        nothing: fn() -> T,
-    ) -> Result<()> {
+    fn draw<T>(&mut self, stream: &Stream, name: &'static str, mark: Option<T>, nothing: fn() -> T) -> Result<()>
+    where
+        T: AsComponents,
+    {
         let path = self.entity(name);
         match mark {
             Some(mark) => {
@@ -225,12 +222,8 @@ impl Overlay {
         }
         self.push.take_if(|(until, _)| frame.time_s > *until);
         let big = |arrow: Arrow| arrows(&[arrow], 0.012, VERMILLION);
-        self.draw(
-            stream,
-            "push",
-            self.push.map(|(_, velocity)| big(marks::push(trunk, velocity))),
-            Arrows3D::clear_fields,
-        )?;
+        let push = self.push.map(|(_, velocity)| big(marks::push(trunk, velocity)));
+        self.draw(stream, "push", push, Arrows3D::clear_fields)?;
         let (rope, pull) = match frame.mark {
             Some(DisturbanceMark::Rope { force }) => {
                 let arrow = marks::pull(trunk, force, METRES_PER_NEWTON);

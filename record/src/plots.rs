@@ -41,12 +41,11 @@ pub(super) struct Shown {
 }
 
 /// Tabs in order, with their titles; the first one is open.
-const TABS: [(Tab, &str); 4] =
-    [(Tab::Estimate, "Estimate"), (Tab::Motion, "Motion"), (Tab::Effort, "Effort"), (Tab::Reward, "Reward")];
+const TABS: [(Tab, &str); 4] = [(Estimate, "Estimate"), (Motion, "Motion"), (Effort, "Effort"), (Reward, "Reward")];
 
 /// Iterates over the tabs of a recording.
 pub(super) fn tabs(shown: Shown) -> impl Iterator<Item = (Tab, &'static str)> {
-    TABS.into_iter().filter(move |(tab, _)| shown.estimates || *tab != Tab::Estimate)
+    TABS.into_iter().filter(move |(tab, _)| shown.estimates || *tab != Estimate)
 }
 
 /// Kind of a plot's series.
@@ -62,6 +61,9 @@ pub(super) enum Series {
     Terms,
 }
 
+use Series::{Belief, Single, Terms, Tracking};
+use Tab::{Effort, Estimate, Motion, Reward};
+
 const fn plot(
     entity: &'static str,
     title: &'static str,
@@ -74,42 +76,32 @@ const fn plot(
 
 /// All plots of recordings, in order.
 const PLOTS: &[Plot] = &[
-    plot("forward", "Forward velocity [m/s]", Tab::Motion, Series::Tracking, |frame| {
-        vec![frame.command.forward, frame.velocity[0]]
-    }),
-    plot("left", "Left velocity [m/s]", Tab::Motion, Series::Tracking, |frame| {
-        vec![frame.command.left, frame.velocity[1]]
-    }),
-    plot("yaw_rate", "Yaw rate [rad/s]", Tab::Motion, Series::Tracking, |frame| {
-        vec![frame.command.yaw, frame.yaw_rate]
-    }),
-    plot("height", "Base height [m]", Tab::Motion, Series::Single, |frame| vec![frame.height_m]),
-    plot("power", "Mechanical power [W]", Tab::Effort, Series::Single, |frame| vec![frame.power_w]),
-    plot("torque", "Torque norm [N·m]", Tab::Effort, Series::Single, |frame| vec![frame.torque_n_m]),
-    plot("foot_force", "Largest foot force [N]", Tab::Effort, Series::Single, |frame| vec![frame.peak_foot_force_n]),
-    plot(OBSTACLE_FORCE, "Largest obstacle force [N]", Tab::Effort, Series::Single, |frame| {
-        vec![frame.peak_obstacle_force_n]
-    }),
-    plot("reward", "Reward", Tab::Reward, Series::Single, |frame| vec![frame.reward]),
+    plot("forward", "Forward velocity [m/s]", Motion, Tracking, |frame| vec![frame.command.forward, frame.velocity[0]]),
+    plot("left", "Left velocity [m/s]", Motion, Tracking, |frame| vec![frame.command.left, frame.velocity[1]]),
+    plot("yaw_rate", "Yaw rate [rad/s]", Motion, Tracking, |frame| vec![frame.command.yaw, frame.yaw_rate]),
+    plot("height", "Base height [m]", Motion, Single, |frame| vec![frame.height_m]),
+    plot("power", "Mechanical power [W]", Effort, Single, |frame| vec![frame.power_w]),
+    plot("torque", "Torque norm [N·m]", Effort, Single, |frame| vec![frame.torque_n_m]),
+    plot("foot_force", "Largest foot force [N]", Effort, Single, |frame| vec![frame.peak_foot_force_n]),
+    plot(OBSTACLE_FORCE, "Largest obstacle force [N]", Effort, Single, |frame| vec![frame.peak_obstacle_force_n]),
+    plot("reward", "Reward", Reward, Single, |frame| vec![frame.reward]),
     Plot {
         // A robot on its back would make r_pose hide the rest.
         range: Some([0.0, 1.1]),
-        ..plot("terms", "Reward terms", Tab::Reward, Series::Terms, |frame| {
-            shown_terms(frame).map(|(_, value)| value).collect()
-        })
+        ..plot("terms", "Reward terms", Reward, Terms, |frame| shown_terms(frame).map(|(_, value)| value).collect())
     },
-    plot("estimate_forward", "Forward velocity [m/s]", Tab::Estimate, Series::Belief, |frame| {
+    plot("estimate_forward", "Forward velocity [m/s]", Estimate, Belief, |frame| {
         believed(frame, frame.velocity[0], |sensed| sensed.velocity[0])
     }),
-    plot("estimate_left", "Left velocity [m/s]", Tab::Estimate, Series::Belief, |frame| {
+    plot("estimate_left", "Left velocity [m/s]", Estimate, Belief, |frame| {
         believed(frame, frame.velocity[1], |sensed| sensed.velocity[1])
     }),
-    plot("estimate_height", "Base height [m]", Tab::Estimate, Series::Belief, |frame| {
+    plot("estimate_height", "Base height [m]", Estimate, Belief, |frame| {
         believed(frame, frame.height_m, |sensed| sensed.height_m)
     }),
     Plot {
         range: Some([0.0, 4.2]),
-        ..plot("estimate_contacts", "Feet that stand", Tab::Estimate, Series::Belief, |frame| {
+        ..plot("estimate_contacts", "Feet that stand", Estimate, Belief, |frame| {
             let truth = frame.sensed.map_or(f64::NAN, |sensed| count(sensed.true_contacts));
             believed(frame, truth, |sensed| count(sensed.contacts))
         })
@@ -140,7 +132,7 @@ const OBSTACLE_FORCE: &str = "obstacle_force";
 /// Iterates over the plots of a recording.
 pub(super) fn plots(shown: Shown) -> impl Iterator<Item = &'static Plot> {
     let is_shown = move |plot: &&Plot| match plot.tab {
-        Tab::Estimate => shown.estimates,
+        Estimate => shown.estimates,
         _ => shown.obstacles || plot.entity != OBSTACLE_FORCE,
     };
     PLOTS.iter().filter(is_shown)
@@ -158,13 +150,13 @@ pub(super) fn log_styles(stream: &Stream, robot: &str, colour: Rgb, is_first: bo
     for plot in PLOTS {
         let estimated = format!("{robot}, estimated");
         let (names, colours): (Vec<&str>, Vec<Rgb>) = match plot.series {
-            Series::Terms => {
+            Terms => {
                 let names = shown_terms(&Frame::default()).map(|(term, _)| term.symbol).collect::<Vec<_>>();
                 names.into_iter().zip(TERM_COLOURS.into_iter().cycle()).unzip()
             }
-            Series::Belief => [(robot, colour), (estimated.as_str(), lighter(colour))].into_iter().unzip(),
-            Series::Tracking if is_first => [("commanded", GREY), (robot, colour)].into_iter().unzip(),
-            Series::Tracking | Series::Single => [(robot, colour)].into_iter().unzip(),
+            Belief => [(robot, colour), (estimated.as_str(), lighter(colour))].into_iter().unzip(),
+            Tracking if is_first => [("commanded", GREY), (robot, colour)].into_iter().unzip(),
+            Tracking | Single => [(robot, colour)].into_iter().unzip(),
         };
         let style =
             SeriesLines::new().with_names(names).with_colors(colours.into_iter().map(opaque)).with_widths([2.0]);
@@ -177,7 +169,7 @@ pub(super) fn log_styles(stream: &Stream, robot: &str, colour: Rgb, is_first: bo
 pub(super) fn log_values(stream: &Stream, robot: &str, is_first: bool, shown: Shown, frame: &Frame) -> Result<()> {
     for plot in plots(shown) {
         let mut values = (plot.values)(frame);
-        if plot.series == Series::Tracking && !is_first {
+        if plot.series == Tracking && !is_first {
             values.remove(0);
         }
         stream.log(&plot.path(robot), &Scalars::new(values))?;

@@ -29,12 +29,8 @@ fn obstacles() -> String {
 }
 
 fn scene(ground: Ground) -> Scene {
-    Scene {
-        ground,
-        obstacles: obstacles(),
-        buffers: Buffers { contacts: 100, rows: 500, stack: 200_000 },
-        ..FLAT.clone()
-    }
+    let buffers = Buffers { contacts: 100, rows: 500, stack: 200_000 };
+    Scene { ground, obstacles: obstacles(), buffers, ..FLAT.clone() }
 }
 
 /// Returns a frame with the poses of the scene's start and invented forces, commands and rewards.

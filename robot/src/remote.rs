@@ -32,11 +32,8 @@ impl Remote {
             let value = f32::from_le_bytes(std::array::from_fn(|k| bytes[at + k]));
             if value.is_finite() { value.clamp(-1.0, 1.0) } else { 0.0 }
         };
-        Remote {
-            left: [stick(4), stick(20)],
-            right: [stick(8), stick(12)],
-            buttons: u16::from_le_bytes([bytes[2], bytes[3]]),
-        }
+        let buttons = u16::from_le_bytes([bytes[2], bytes[3]]);
+        Remote { left: [stick(4), stick(20)], right: [stick(8), stick(12)], buttons }
     }
 
     pub fn to_bytes(self) -> [u8; 40] {

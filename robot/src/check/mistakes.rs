@@ -38,8 +38,8 @@ pub fn mistakes() -> Vec<Mistake> {
     let mut all = Vec::new();
     for (name, order) in orders() {
         let readings = move |row: &mut Row| {
-            (row.q, row.dq, row.tau) =
-                (permuted(&row.q, &order), permuted(&row.dq, &order), permuted(&row.tau, &order));
+            let [q, dq, tau] = [&row.q, &row.dq, &row.tau].map(|values| permuted(values, &order));
+            (row.q, row.dq, row.tau) = (q, dq, tau);
         };
         let targets = move |row: &mut Row| row.target = permuted(&row.target, &order);
         all.push(mistake(format!("the readings of the joints are in the order {name}"), readings));

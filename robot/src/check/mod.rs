@@ -165,11 +165,8 @@ pub fn check(log: &LogRows, agent: &Agent, latency_s: Option<f64>) -> anyhow::Re
     let period = Period::of(&log.0);
     let rows = log.of_policy(period.rows(LEAST_S), period.rows(REPLAY_S));
     let count = rows.iter().filter(|(phase, _)| phase == "policy").count();
-    let found_s = count as f64 * period.0;
-    ensure!(
-        count >= period.rows(LEAST_S),
-        "the log has {found_s:.1} s of the phase 'policy', at least {LEAST_S} s are needed"
-    );
+    let (found_s, least) = (count as f64 * period.0, period.rows(LEAST_S));
+    ensure!(count >= least, "the log has {found_s:.1} s of the phase 'policy', at least {LEAST_S} s are needed");
     let mut findings = physical(rows, agent);
     let all = mistakes();
     let mut undo: Vec<&Mistake> = Vec::new();

@@ -11,14 +11,14 @@ mod video;
 use std::ops::RangeInclusive;
 use std::process::ExitCode;
 
-use anyhow::Context;
+use anyhow::{Context, Result};
 use args::{Args, What};
 use clap::CommandFactory;
 use output::Outcome;
 use recording::Recording;
 use seeds::OfSeeds;
 use supple::estimate::contact::ContactNetwork;
-use supple::mujoco::Model;
+use supple::mujoco::{self, Model};
 use supple::policy::Agent;
 use supple::policy::compliance::policy_label;
 use supple::policy::shipped;
@@ -43,7 +43,7 @@ fn main() -> ExitCode {
     terminal::conclude(args::parse().and_then(|args| run(&args)))
 }
 
-fn run(args: &Args) -> anyhow::Result<()> {
+fn run(args: &Args) -> Result<()> {
     match &args.what {
         What::List => list(),
         What::Session { file } => session::measure(args, file),
@@ -51,7 +51,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
     }
 }
 
-fn list() -> anyhow::Result<()> {
+fn list() -> Result<()> {
     let is_scenario = |command: &&clap::Command| !matches!(command.get_name(), "list" | "session");
     for scenario in Args::command().get_subcommands().filter(is_scenario) {
         let about = scenario.get_about().map(ToString::to_string).unwrap_or_default();
@@ -60,7 +60,7 @@ fn list() -> anyhow::Result<()> {
     Ok(())
 }
 
-fn play_scenario(args: &Args, scenario: &Scenario) -> anyhow::Result<()> {
+fn play_scenario(args: &Args, scenario: &Scenario) -> Result<()> {
     output::check(args)?;
     #[cfg(not(feature = "video"))]
     anyhow::ensure!(args.video.is_none(), NO_VIDEO);
@@ -121,12 +121,7 @@ fn play_scenario(args: &Args, scenario: &Scenario) -> anyhow::Result<()> {
 }
 
 /// Plays the scenario with every seed, and prints means and spread; with the first seed alone if seeds draw nothing.
-fn play_seeds(
-    args: &Args,
-    scenario: &Scenario,
-    robots: &[(String, Agent)],
-    seeds: &RangeInclusive<u64>,
-) -> anyhow::Result<()> {
+fn play_seeds(args: &Args, scenario: &Scenario, robots: &[(String, Agent)], seeds: &RangeInclusive<u64>) -> Result<()> {
     let mut runs: Vec<OfSeeds<'_>> = robots.iter().map(|played| OfSeeds { played, metrics: Vec::new() }).collect();
     let of_seed = |seed: &u64| Trial::new(args, scenario, robots, *seed);
     let (first, last) = (seeds.start(), seeds.end());
@@ -162,8 +157,8 @@ fn play_seeds(
 }
 
 /// Loads the policies to play, by name, with the commanded compliance [m/s/N] unless their names contain one.
-fn robots(args: &Args) -> anyhow::Result<Vec<(String, Agent)>> {
-    let robot = |asked: &str| -> anyhow::Result<(String, Agent)> {
+fn robots(args: &Args) -> Result<Vec<(String, Agent)>> {
+    let robot = |asked: &str| -> Result<(String, Agent)> {
         let agent = shipped::find(asked)?;
         if let Some(unfinished) = agent.policy().and_then(|policy| policy.provenance.unfinished()) {
             terminal::note(format_args!("note: {asked} {unfinished}"));
@@ -196,14 +191,14 @@ pub struct Trial<'a> {
 }
 
 impl<'a> Trial<'a> {
-    fn new(args: &'a Args, scenario: &'a Scenario, robots: &'a [(String, Agent)], seed: u64) -> anyhow::Result<Self> {
-        let script = |(name, agent): &(String, Agent)| -> anyhow::Result<Script> {
+    fn new(args: &'a Args, scenario: &'a Scenario, robots: &'a [(String, Agent)], seed: u64) -> Result<Self> {
+        let script = |(name, agent): &(String, Agent)| -> Result<Script> {
             let mut script = scenario.script(seed, &agent.config)?;
             let compliance = agent.resolve_compliance(None, script.command.compliance);
             script.command.compliance = compliance.with_context(|| name.clone())?;
             Ok(script)
         };
-        let scripts = robots.iter().map(script).collect::<anyhow::Result<_>>().map_err(|error| match &args.params {
+        let scripts = robots.iter().map(script).collect::<Result<_>>().map_err(|error| match &args.params {
             Some(file) => error.context(format!("with the parameters of {}", file.display())),
             None => error,
         })?;
@@ -221,7 +216,7 @@ impl<'a> Trial<'a> {
         steps.max().unwrap_or(0) as u64
     }
 
-    fn play(&self, recording: &mut Recording, bar: &ProgressBar) -> anyhow::Result<Vec<Trace>> {
+    fn play(&self, recording: &mut Recording, bar: &ProgressBar) -> Result<Vec<Trace>> {
         let mut rollouts = Vec::new();
         for ((_, agent), script) in self.parts() {
             let rollout = Playback::new(script, &agent.config, agent.controller())?.with_felt_forces()?.with_bodies();
@@ -257,7 +252,7 @@ impl<'a> Trial<'a> {
     }
 
     /// Compiles the model of each robot for display.
-    fn models(&self) -> supple::mujoco::Result<Vec<Model>> {
+    fn models(&self) -> mujoco::Result<Vec<Model>> {
         self.scripts.iter().map(|script| script.scene.compile_visual()).collect()
     }
 

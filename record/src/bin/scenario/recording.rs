@@ -1,6 +1,6 @@
 //! The recording of a scenario, and clips of falls.
 
-use anyhow::Context;
+use anyhow::{Context, Result};
 use supple::scenario::PlaybackStep;
 use supple::scenario::trace::Trace;
 use supple::util::terminal;
@@ -19,7 +19,7 @@ pub struct Recording {
 
 impl Recording {
     /// Opens the recording that the command line selects.
-    pub fn start(trial: &Trial<'_>) -> anyhow::Result<Self> {
+    pub fn start(trial: &Trial<'_>) -> Result<Self> {
         let (args, title) = (trial.args, trial.scenario.name());
         let sink = match (&args.record, &args.connect, args.serve) {
             (Some(path), _, _) => Sink::File(path.clone()),
@@ -41,7 +41,7 @@ impl Recording {
         Recording { recorder: None, sink: None }
     }
 
-    pub fn add(&mut self, robot: usize, played: &PlaybackStep) -> anyhow::Result<()> {
+    pub fn add(&mut self, robot: usize, played: &PlaybackStep) -> Result<()> {
         let Some(recorder) = &mut self.recorder else { return Ok(()) };
         let logged = recorder.step(robot, played.frame.as_ref(), &played.events);
         self.unless_the_viewer_is_gone(logged)
@@ -49,7 +49,7 @@ impl Recording {
 
     /// Handles an error: if a viewer disconnects, the playback continues; if a file cannot be written, the error is
     /// returned.
-    fn unless_the_viewer_is_gone(&mut self, logged: Result<(), RecordError>) -> anyhow::Result<()> {
+    fn unless_the_viewer_is_gone(&mut self, logged: Result<(), RecordError>) -> Result<()> {
         match logged {
             Err(error) if matches!(self.sink, Some(Sink::Connect(_))) => {
                 terminal::note(format_args!("warning: {error}; going on without a viewer"));
@@ -61,7 +61,7 @@ impl Recording {
     }
 
     /// Writes the clips of falls and closes the recording; a served recording is closed at Ctrl-C.
-    pub fn finish(mut self, trial: &Trial<'_>, traces: &[Trace]) -> anyhow::Result<()> {
+    pub fn finish(mut self, trial: &Trial<'_>, traces: &[Trace]) -> Result<()> {
         let title = trial.scenario.name();
         for (((name, _), script), trace) in trial.parts().zip(traces) {
             if let (Some(folder), Some(fall)) = (&trial.args.on_fall, trace.fall()) {
@@ -85,7 +85,7 @@ impl Recording {
     }
 }
 
-fn wait_for_interrupt() -> anyhow::Result<()> {
+fn wait_for_interrupt() -> Result<()> {
     let (interrupted, wait) = std::sync::mpsc::channel();
     ctrlc::set_handler(move || {
         // An error means that the program is ending anyway.
