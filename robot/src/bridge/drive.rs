@@ -6,7 +6,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, Result, bail};
 use serde::Serialize;
 use supple::policy::Agent;
 use supple::robot::{JOINTS, Joints, LEGS, of_leg};
@@ -114,7 +114,7 @@ pub fn drive(
     command: Command,
     orders: &Receiver<Order>,
     stop: &AtomicBool,
-) -> anyhow::Result<Report> {
+) -> Result<Report> {
     let place = settings.network.place()?;
     let mut bridge = Bridge::new(agent, settings.latency_s)?;
     bridge.order(&Order::Command(command), 0.0);

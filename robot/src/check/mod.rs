@@ -9,7 +9,7 @@ mod bag;
 mod mistakes;
 mod rows;
 
-use anyhow::ensure;
+use anyhow::{Result, ensure};
 use nalgebra::{Matrix2, Quaternion, UnitQuaternion, Vector2, Vector3};
 use supple::estimate::{EncoderReading, ImuReading};
 use supple::policy::Agent;
@@ -77,7 +77,7 @@ impl Verdict {
 }
 
 /// Returns, for each row of the policy's phase, the joint targets of the replayed policy, before latency, and the sent ones \[rad\].
-fn replay(agent: &Agent, rows: &[(String, Row)], undo: &[&Mistake]) -> anyhow::Result<Vec<(Joints, Joints)>> {
+fn replay(agent: &Agent, rows: &[(String, Row)], undo: &[&Mistake]) -> Result<Vec<(Joints, Joints)>> {
     let mut bridge = Bridge::new(agent, Some(0.0))?;
     bridge.guard.is_strict = false;
     let mut replayed = Vec::with_capacity(rows.len());
@@ -161,7 +161,7 @@ fn best_delay(replayed: &[(Joints, Joints)], period: Period) -> (usize, f64) {
 ///
 /// # Errors
 /// The log is too short, or the policy is not one of a Go2.
-pub fn check(log: &LogRows, agent: &Agent, latency_s: Option<f64>) -> anyhow::Result<Verdict> {
+pub fn check(log: &LogRows, agent: &Agent, latency_s: Option<f64>) -> Result<Verdict> {
     let period = Period::of(&log.0);
     let rows = log.of_policy(period.rows(LEAST_S), period.rows(REPLAY_S));
     let count = rows.iter().filter(|(phase, _)| phase == "policy").count();

@@ -12,7 +12,7 @@ use std::net::Ipv4Addr;
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
-use anyhow::{Context, anyhow, bail, ensure};
+use anyhow::{Context, Result, anyhow, bail, ensure};
 use dust_dds::dds_async::configuration::DustDdsConfigurationBuilder;
 use dust_dds::dds_async::data_reader::DataReaderAsync;
 use dust_dds::dds_async::domain_participant_factory::DomainParticipantFactoryAsync;
@@ -57,7 +57,7 @@ impl Place {
     ///
     /// # Errors
     /// There is no such interface, or the domain is too large.
-    pub fn new(interface: &str, domain: u16, peers: Vec<Ipv4Addr>) -> anyhow::Result<Self> {
+    pub fn new(interface: &str, domain: u16, peers: Vec<Ipv4Addr>) -> Result<Self> {
         ensure!(domain <= MAX_DOMAIN, "DDS domain {domain}: expected 0 to {MAX_DOMAIN}; a Go2 is in domain 0");
         let interfaces = NetworkInterface::show().unwrap_or_default();
         let ipv4 = |interface: &NetworkInterface| {
@@ -91,7 +91,7 @@ pub struct Network {
 }
 
 impl Network {
-    pub(crate) fn place(&self) -> anyhow::Result<Place> {
+    pub(crate) fn place(&self) -> Result<Place> {
         Place::new(&self.interface, self.domain, self.peer.clone())
     }
 }
@@ -139,7 +139,7 @@ impl<T: TypeSupport> Publisher<T> {
     ///
     /// # Errors
     /// A reliable reader does not answer, or the participant is gone.
-    pub fn send(&self, message: T) -> anyhow::Result<()> {
+    pub fn send(&self, message: T) -> Result<()> {
         self.writer.write(message, None).map_err(dds("sending"))
     }
 
@@ -154,7 +154,7 @@ impl Node {
     ///
     /// # Errors
     /// The ports are in use, or the address is not one of this machine.
-    pub fn open(place: &Place) -> anyhow::Result<Self> {
+    pub fn open(place: &Place) -> Result<Self> {
         let Place { domain, address, .. } = *place;
         let udp = transport::Udp::open(place)
             .with_context(|| format!("cannot open the ports of DDS domain {domain} on {address}"))?;
@@ -192,7 +192,7 @@ impl Node {
         topic: &str,
         type_name: &str,
         delivery: Delivery,
-    ) -> anyhow::Result<Publisher<T>> {
+    ) -> Result<Publisher<T>> {
         let qos = DataWriterQos { reliability: reliability(delivery), ..Default::default() };
         let publish = || {
             let topic = self.topic::<T>(topic, type_name)?;
@@ -209,7 +209,7 @@ impl Node {
         type_name: &str,
         delivery: Delivery,
         take: impl FnMut(Arrival<T>) + Send + 'static,
-    ) -> anyhow::Result<Subscription<T>> {
+    ) -> Result<Subscription<T>> {
         let qos = DataReaderQos {
             history: HistoryQosPolicy { kind: HistoryQosPolicyKind::KeepLast(DEPTH) },
             reliability: reliability(delivery),

@@ -6,7 +6,7 @@ use std::sync::mpsc::{Receiver, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use anyhow::{anyhow, bail, ensure};
+use anyhow::{Result, anyhow, bail, ensure};
 use dust_dds::infrastructure::type_support::DdsType;
 use serde::Deserialize;
 
@@ -99,7 +99,7 @@ impl Mode {
 
 /// Answers requests until it is dropped; calls `changed` with the mode after each request to the switcher. The robot's own
 /// controller says yes to everything until it is released, and is silent then.
-pub fn serve(node: &Node, mut changed: impl FnMut(&Mode) + Send + 'static) -> anyhow::Result<impl Sized> {
+pub fn serve(node: &Node, mut changed: impl FnMut(&Mode) + Send + 'static) -> Result<impl Sized> {
     let mode = Arc::new(Mutex::new(Mode::normal()));
     let asked = Arc::clone(&mode);
     let switcher = answer(node, SWITCHER, move |function, parameter| {
@@ -120,7 +120,7 @@ fn answer(
     node: &Node,
     service: &str,
     mut answer: impl FnMut(i64, &str) -> Option<(i32, String)> + Send + 'static,
-) -> anyhow::Result<Subscription<Request>> {
+) -> Result<Subscription<Request>> {
     let [requests, responses] = topics(service);
     let responses: Publisher<Response> = node.publish(&responses, RESPONSE, Delivery::Reliable)?;
     let (sender, arrived) = channel::<Request>();
@@ -154,7 +154,7 @@ pub struct Client {
 }
 
 impl Client {
-    pub fn new(node: &Node) -> anyhow::Result<Self> {
+    pub fn new(node: &Node) -> Result<Self> {
         let (sender, responses) = channel();
         let [requests, replies] = topics(SWITCHER);
         let take = move |arrival: Arrival<Response>| drop(sender.send(arrival.message));
@@ -162,7 +162,7 @@ impl Client {
         Ok(Client { requests: node.publish(&requests, REQUEST, Delivery::Reliable)?, responses, _listening, id: 0 })
     }
 
-    fn call(&mut self, function: i64) -> anyhow::Result<String> {
+    fn call(&mut self, function: i64) -> Result<String> {
         let deadline = Instant::now() + TIMEOUT;
         // A request that is sent before the service has been discovered is lost: it is sent again.
         while Instant::now() < deadline {
@@ -190,14 +190,14 @@ impl Client {
     }
 
     /// Returns the name of the robot's mode; empty if it has been released.
-    fn mode(&mut self) -> anyhow::Result<String> {
+    fn mode(&mut self) -> Result<String> {
         let data = self.call(CHECK_MODE)?;
         let name = serde_json::from_str(&data).map(|Name { name }| name);
         name.map_err(|_| anyhow!("motion_switcher answers '{data}', expected JSON with a name"))
     }
 
     /// Releases the robot's own controller, and returns the mode in which the robot was. Nothing is released once `stop` is true.
-    pub fn release(&mut self, stop: &AtomicBool) -> anyhow::Result<String> {
+    pub fn release(&mut self, stop: &AtomicBool) -> Result<String> {
         let first = self.mode()?;
         let mut mode = first.clone();
         for _ in 0..RELEASES {

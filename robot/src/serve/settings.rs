@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, bail, ensure};
+use anyhow::{Context, Result, bail, ensure};
 use supple::robot::JointLosses;
 use supple::scenario::catalog::Scenario;
 
@@ -70,11 +70,11 @@ pub struct Settings {
 }
 
 impl Settings {
-    pub(super) fn scenario(&self) -> anyhow::Result<Option<Scenario>> {
+    pub(super) fn scenario(&self) -> Result<Option<Scenario>> {
         self.scenario.as_deref().map(|name| scenario(name, &self.set)).transpose()
     }
 
-    pub(super) fn faults(&self) -> anyhow::Result<Faults> {
+    pub(super) fn faults(&self) -> Result<Faults> {
         let Settings { latency_s, jitter_s, loss, .. } = *self;
         for (name, found) in [("latency-s", latency_s), ("jitter-s", jitter_s), ("loss", loss)] {
             ensure!((0.0..=1.0).contains(&found), "--{name} is {found}, expected 0 to 1");
@@ -82,7 +82,7 @@ impl Settings {
         Ok(Faults { latency_s, jitter_s, loss })
     }
 
-    pub(super) fn full_sticks(&self) -> anyhow::Result<FullSticks> {
+    pub(super) fn full_sticks(&self) -> Result<FullSticks> {
         let [forward, left, yaw] = self.full_sticks[..] else { bail!("--full-sticks: expected three numbers") };
         ensure!(
             [forward, left, yaw].iter().all(|full| (0.01..=10.0).contains(full)),
@@ -96,11 +96,11 @@ impl Settings {
 ///
 /// # Errors
 /// A pair has no `=`, or there is no such scenario or parameter.
-pub fn scenario(name: &str, parameters: &[String]) -> anyhow::Result<Scenario> {
+pub fn scenario(name: &str, parameters: &[String]) -> Result<Scenario> {
     let pair = |text: &String| {
         let (key, value) = text.split_once('=').with_context(|| format!("--set {text}: expected KEY=VALUE"))?;
         anyhow::Ok(format!("{}: {value}\n", key.replace('-', "_")))
     };
-    let yaml = parameters.iter().map(pair).collect::<anyhow::Result<String>>()?;
+    let yaml = parameters.iter().map(pair).collect::<Result<String>>()?;
     Ok(Scenario::named(name, if yaml.is_empty() { "{}" } else { &yaml })?)
 }

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use anyhow::Context;
+use anyhow::{Context, Result};
 use clap::Args;
 use supple::policy::shipped;
 use supple::scenario::metrics::{Metric, by_name};
@@ -30,7 +30,7 @@ pub struct Check {
 }
 
 /// Checks a log; returns true if it fits.
-pub fn run(args: &Check) -> anyhow::Result<bool> {
+pub fn run(args: &Check) -> Result<bool> {
     let agent = shipped::find(&args.policy)?;
     let mut columns = Columns::default();
     if let Some(path) = &args.columns {
@@ -79,7 +79,7 @@ pub struct Rehearse {
 }
 
 /// Rehearses, and prints the scenario's metrics.
-pub fn run_rehearsal(args: &Rehearse) -> anyhow::Result<()> {
+pub fn run_rehearsal(args: &Rehearse) -> Result<()> {
     let agent = shipped::find(&args.policy)?;
     let compliance = agent.resolve_compliance(None, args.compliance).with_context(|| args.policy.clone())?;
     let scenario = scenario(&args.scenario, &args.set)?;

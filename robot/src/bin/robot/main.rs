@@ -7,7 +7,7 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use anyhow::Context;
+use anyhow::{Context, Result};
 use clap::{Parser, Subcommand};
 use supple::util::terminal;
 use supple_robot::bridge;
@@ -46,7 +46,7 @@ enum What {
 }
 
 /// Returns a flag that Ctrl-C and termination set.
-fn stop_flag() -> anyhow::Result<Arc<AtomicBool>> {
+fn stop_flag() -> Result<Arc<AtomicBool>> {
     let stop = Arc::new(AtomicBool::new(false));
     let set = Arc::clone(&stop);
     ctrlc::set_handler(move || set.store(true, Ordering::Relaxed)).context("cannot catch Ctrl-C")?;
@@ -54,7 +54,7 @@ fn stop_flag() -> anyhow::Result<Arc<AtomicBool>> {
 }
 
 /// Serves until the scenario ends or Ctrl-C.
-fn serve(settings: &Settings) -> anyhow::Result<()> {
+fn serve(settings: &Settings) -> Result<()> {
     let stop = stop_flag()?;
     let summary = play(settings, &stop)?;
     let told = if settings.json { format!("{}\n", summary.to_json()) } else { summary.text() };

@@ -5,7 +5,7 @@ use std::net::{Ipv4Addr, UdpSocket};
 use std::sync::mpsc::{Sender, channel};
 use std::time::{Duration, Instant};
 
-use anyhow::Context;
+use anyhow::{Context, Result};
 use rustix::termios::{LocalModes, OptionalActions, SpecialCodeIndex, Termios, tcgetattr, tcsetattr};
 use supple::policy::shipped;
 use supple::task::Command;
@@ -17,7 +17,7 @@ use crate::stop_flag;
 
 /// Runs until a key or Ctrl-C. Where the orders on standard input end, as where the program that gives them has died, the robot stops
 /// walking.
-pub fn run(settings: &Settings) -> anyhow::Result<()> {
+pub fn run(settings: &Settings) -> Result<()> {
     let agent = shipped::find(&settings.policy)?;
     let compliance = agent.resolve_compliance(None, settings.compliance).with_context(|| settings.policy.clone())?;
     let [forward, left, yaw] = settings.velocity[..] else { anyhow::bail!("--velocity: expected three numbers") };
@@ -82,7 +82,7 @@ fn orders_of_stdin(input: impl BufRead, sender: &Sender<Order>, range: &FullStic
 }
 
 /// Reads datagrams of JSON lines, and stops the robot where no order follows an order in time.
-fn listen(socket: UdpSocket, sender: Sender<Order>, range: FullSticks) -> anyhow::Result<()> {
+fn listen(socket: UdpSocket, sender: Sender<Order>, range: FullSticks) -> Result<()> {
     socket.set_read_timeout(Some(UDP_SILENCE / 5))?;
     std::thread::spawn(move || {
         let (mut buffer, mut last_order): ([u8; 4096], Option<Instant>) = ([0; 4096], None);
