@@ -165,7 +165,7 @@ impl Builder {
                 watch_run::told(&format!("{error:#}"), &what, is_shared && !is_harmless)
             });
             // The receiver is gone if the program is ending.
-            let _ = to_robots.send(Message::Built { number, result });
+            let _ = to_robots.send(Message::Built(number, result));
         };
         start_thread("loading", work).map_err(|error| format!("{name} cannot be loaded: {error:#}"))?;
         let (since, before) = (Instant::now(), before.clone());
@@ -205,7 +205,7 @@ mod tests {
             let (to_robots, messages) = sync_channel(1);
             let change = Change::Robot { index: 0, policy: Some(policy.to_owned()), robot: None };
             Builder::new(to_robots, is_shared).start(change, &setup, &cache).unwrap();
-            let Message::Built { result: Err(text), .. } = messages.recv().unwrap() else { panic!("it is built") };
+            let Message::Built(_, Err(text)) = messages.recv().unwrap() else { panic!("it is built") };
             text
         };
         let path = path.to_str().unwrap();

@@ -19,7 +19,7 @@ use crate::driver::Heard;
 use crate::message::{Built, Message, NewPolicy};
 use crate::publisher::{Due, Publisher, Updates};
 use crate::request::{Kept, Request, bounded};
-use crate::save::{Minute, Save, Saver};
+use crate::save::{Minute, Saver};
 use crate::watch_run;
 
 /// Length of a minute \[ticks\].
@@ -126,7 +126,7 @@ impl Live {
             Heard::Request(request) => self.answer(request)?,
             Heard::Released => self.let_go()?,
             Heard::Other(Message::PolicySaved(new)) => self.change(Change::Policy(new)),
-            Heard::Other(Message::Built { number, result }) => match self.builder.finish(number, result) {
+            Heard::Other(Message::Built(number, result)) => match self.builder.finish(number, result) {
                 Some(Ok((built, before))) => self.take_over(*built, &before)?,
                 Some(Err(problem)) => self.publisher.notice(problem),
                 None => {}
@@ -293,7 +293,7 @@ impl Live {
             Err(problem) => Err(problem.clone()),
         };
         let minute = (what == Kept::Minute).then(|| self.minute.clone());
-        let saved = part.and_then(|part| self.saver.save(Save { part, minute }));
+        let saved = part.and_then(|part| self.saver.save(part, minute));
         saved.unwrap_or_else(|problem| self.publisher.notice(problem));
     }
 

@@ -65,12 +65,8 @@ impl Minute {
     }
 }
 
-/// A session to be saved.
-pub struct Save {
-    pub part: SessionPart,
-    /// The steps to be recorded; `None` replays the session.
-    pub minute: Option<Minute>,
-}
+/// A session to be saved, or its last part, and the steps to be recorded; `None` replays the session.
+type Save = (SessionPart, Option<Minute>);
 
 /// A session that is saved, and the name reserved for its recording.
 struct Saved {
@@ -103,7 +99,7 @@ impl Saver {
         let (notices, unfinished) = (to_robots.clone(), Unfinished::new(Mutex::new(Some(Vec::new()))));
         let (reserved, done) = (Arc::clone(&unfinished), Arc::clone(&unfinished));
         let save = move || {
-            for Save { part, minute } in saves {
+            for (part, minute) in saves {
                 let text = match write_session(&folder, &part) {
                     Ok((session, recording)) => {
                         with(&reserved, |all| all.push(recording.clone()));
@@ -136,9 +132,9 @@ impl Saver {
     }
 
     /// Saves a session, unless too many others wait.
-    pub fn save(&self, save: Save) -> Result<(), String> {
+    pub fn save(&self, part: SessionPart, minute: Option<Minute>) -> Result<(), String> {
         let full = |_| "not saved, because others are being saved: try again in a moment".to_owned();
-        self.to.try_send(save).map_err(full)
+        self.to.try_send((part, minute)).map_err(full)
     }
 
     /// Waits for a moment until all sessions are written; recordings that are not whole are removed.
@@ -231,7 +227,7 @@ mod tests {
         writer.input(0, &Input::Setup(setup), &cache).unwrap();
         for _ in 0..2 {
             let part = writer.part(None, 40, String::new()).unwrap();
-            saver.save(Save { part, minute: None }).unwrap();
+            saver.save(part, None).unwrap();
             assert!(matches!(messages.recv().unwrap(), Message::Notice(text) if text.contains("is being written")));
         }
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 4);

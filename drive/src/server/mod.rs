@@ -56,28 +56,27 @@ struct Shared {
     viewer_permits: Arc<Semaphore>,
 }
 
-/// A server that runs on a thread of its own until the program ends.
-pub struct Serving {
-    /// Address to open in a browser.
-    pub url: String,
-    /// The runtime of the server, for other tasks.
-    pub runtime: Handle,
-}
-
-/// Starts to serve pages and viewers; port 0 takes any free one. New pages are told `hello`: the names of the shipped `policies`; the
+/// Starts to serve pages and viewers on a thread of its own until the program ends; port 0 takes any free one. Returns the address to open
+/// in a browser, and the runtime for other tasks. New pages are told `hello`: the names of the shipped `policies`; the
 /// `scenes` that can be chosen; `most`, the largest push [m/s] and [N·s] and the largest pull \[N\]; `viewer`, true if the page embeds the
 /// viewer; `is_served`, true if another program plays the robot: the page cannot change robots, scene or time, nor save.
 ///
 /// # Errors
 /// The port cannot be opened, no thread can be had, or the clock of this machine is before 1970.
-pub fn start(ip: IpAddr, port: u16, robots: SyncSender<Message>, updates: Updates, hello: Value) -> Result<Serving> {
+pub fn start(
+    ip: IpAddr,
+    port: u16,
+    robots: SyncSender<Message>,
+    updates: Updates,
+    hello: Value,
+) -> Result<(String, Handle)> {
     anyhow::ensure!(is_clock_right(), "cannot serve pages: the clock of this machine is before 1970; set it");
     // On a thread of our own: one that cannot be had is then no panic.
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let at = || format!("cannot listen on port {port} of {ip}; choose another port with --port");
     let listener = runtime.block_on(TcpListener::bind((ip, port))).with_context(at)?;
     let (address, token) = (listener.local_addr()?, Token::random());
-    let serving = Serving { url: url(address, &token), runtime: runtime.handle().clone() };
+    let serving = (url(address, &token), runtime.handle().clone());
     let shared = Shared {
         token,
         port: address.port(),

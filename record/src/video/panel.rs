@@ -1,6 +1,6 @@
 //! Titles, captions and the plot around the pictures of a video.
 
-use super::canvas::{Anchor, Canvas, Fonts, Style};
+use super::canvas::{Canvas, Fonts, LEFT, MIDDLE, RIGHT, Style};
 use super::{Played, Result, VideoError};
 use crate::style::{BLUE, LABEL_SHOWN_S, Rgb};
 use supple::scenario::metrics::{BRIEF_S, SETTLE_S};
@@ -87,7 +87,7 @@ impl<'a> Panel<'a> {
         }
         let style = self.style(17.0, FAINT, false);
         let place = [self.size[0] as f32 - 20.0 * self.unit, 29.0 * self.unit];
-        frame.text(&self.fonts, place, Anchor::Right, style, &format!("{}   {time_s:5.1} s", self.title));
+        frame.text(&self.fonts, place, RIGHT, style, &format!("{}   {time_s:5.1} s", self.title));
         for curve in self.curves.iter().rev() {
             let until = curve.points.partition_point(|point| point[0] < time + 1e-3);
             let inside = curve.points[..until].iter().filter(|point| point[1] <= self.ends[1]);
@@ -128,10 +128,10 @@ impl<'a> Panel<'a> {
         for (index, (robot, _)) in robots.iter().enumerate() {
             let x = (index * (self.picture_size()[0] + self.gap())) as f32 + 16.0 * unit;
             let style = self.style(22.0, self.curves[index].colour, true);
-            base.text(fonts, [x, 30.0 * unit], Anchor::Left, style, robot.name);
+            base.text(fonts, [x, 30.0 * unit], LEFT, style, robot.name);
         }
         let heading = format!("off the commanded velocity by [m/s], mean over {BRIEF_S} s");
-        base.text(fonts, [16.0 * unit, top - 12.0 * unit], Anchor::Left, self.style(15.0, INK, false), &heading);
+        base.text(fonts, [16.0 * unit, top - 12.0 * unit], LEFT, self.style(15.0, INK, false), &heading);
         let events = robots.iter().flat_map(|(_, trace)| &trace.events);
         let disturbances = events.filter(|event| event.kind == EventKind::Disturbance).map(|event| event.time_s);
         let mut disturbances: Vec<f64> = disturbances.collect();
@@ -143,12 +143,12 @@ impl<'a> Panel<'a> {
         for (value, text) in ticks(self.ends[1], 4) {
             let y = self.at([0.0, value])[1];
             base.rectangle([left, y], [right, y + unit.max(1.0)], GRID, 1.0);
-            base.text(fonts, [left - 8.0 * unit, y + 5.0 * unit], Anchor::Right, small, &text);
+            base.text(fonts, [left - 8.0 * unit, y + 5.0 * unit], RIGHT, small, &text);
         }
         for (time_s, text) in ticks(self.ends[0], 10) {
             let x = self.at([time_s, 0.0])[0];
             let text = if time_s == 0.0 { "0 s".to_owned() } else { text };
-            base.text(fonts, [x, bottom + 19.0 * unit], Anchor::Middle, small, &text);
+            base.text(fonts, [x, bottom + 19.0 * unit], MIDDLE, small, &text);
         }
         self.base = base;
     }
@@ -162,7 +162,7 @@ impl<'a> Panel<'a> {
         let end = left + 32.0 * unit + self.fonts.width(&text, style);
         frame.rectangle([left + 12.0 * unit, bottom - 40.0 * unit], [end, bottom - 12.0 * unit], PAPER, 0.8);
         let place = [left + 22.0 * unit, bottom - 20.5 * unit];
-        frame.text(&self.fonts, place, Anchor::Left, style, &text);
+        frame.text(&self.fonts, place, LEFT, style, &text);
     }
 }
 

@@ -129,10 +129,8 @@ pub struct Publisher<T> {
     writer: DataWriter<T>,
 }
 
-/// Keeps a subscription alive.
-pub(crate) struct Subscription<T> {
-    _reader: DataReader<T>,
-}
+/// A subscription, which lasts until it is dropped.
+pub(crate) type Subscription<T> = DataReader<T>;
 
 impl<T: TypeSupport> Publisher<T> {
     /// Sends a message.
@@ -221,7 +219,7 @@ impl Node {
             let listener = Listener { take };
             subscriber.create_datareader(&topic, QosKind::Specific(qos), Some(listener), &[StatusKind::DataAvailable])
         };
-        Ok(Subscription { _reader: listen().map_err(dds("listening"))? })
+        listen().map_err(dds("listening"))
     }
 }
 

@@ -93,7 +93,7 @@ impl Page {
     pub fn serve(&self, to_robot: SyncSender<Message>, port: u16) -> anyhow::Result<String> {
         let hello = json!({ "policies": [], "scenes": [], "most": MOST, "viewer": true, "is_served": true });
         let here = IpAddr::V4(Ipv4Addr::LOCALHOST);
-        Ok(server::start(here, port, to_robot, self.publisher.updates.clone(), hello)?.url)
+        Ok(server::start(here, port, to_robot, self.publisher.updates.clone(), hello)?.0)
     }
 
     /// Takes the messages that have come, and pushes and pulls the robot as they say. A page that falls silent lets go.

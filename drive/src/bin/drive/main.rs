@@ -16,7 +16,7 @@ use supple_drive::live::{self, Live};
 use supple_drive::message::Message;
 use supple_drive::publisher::{Publisher, Updates};
 use supple_drive::request::MOST;
-use supple_drive::server::{self, Serving, start_thread};
+use supple_drive::server::{self, start_thread};
 use supple_drive::{replay, viewer_stream};
 
 /// Length of the message queue: enough for the seconds in which a scene is built.
@@ -62,7 +62,7 @@ fn serve(
     play: impl FnOnce() -> anyhow::Result<()>,
 ) -> anyhow::Result<()> {
     let shown = updates.shown.subscribe();
-    let Serving { url, runtime } = server::start(args.bind, args.port, to_robots.clone(), updates, hello(args))?;
+    let (url, runtime) = server::start(args.bind, args.port, to_robots.clone(), updates, hello(args))?;
     if let Some(viewer) = args.connect.clone() {
         let to_robots = to_robots.clone();
         start_thread("feeding a viewer", move || {
