@@ -201,9 +201,12 @@ mod tests {
         complaints.iter().map(|complaint| complaint.kind).collect()
     }
 
+    /// A kind of fault, and how to make it.
+    type Fault = (Kind, fn(&mut LowCmd));
+
     #[test]
     fn each_broken_command_is_refused_with_its_reason() {
-        let broken: [(Kind, fn(&mut LowCmd)); 7] = [
+        let broken: [Fault; 7] = [
             (Kind::Head, |it| it.head = [0xEF, 0xFE]),
             (Kind::LevelFlag, |it| it.level_flag = 0xEE),
             (Kind::Mode, |it| it.motor_cmd[4].mode = 0x0A),

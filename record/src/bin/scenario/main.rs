@@ -5,8 +5,6 @@ mod output;
 mod recording;
 mod seeds;
 mod session;
-#[cfg(feature = "video")]
-mod video;
 
 use std::ops::RangeInclusive;
 use std::process::ExitCode;
@@ -31,6 +29,8 @@ use supple::scenario::{Playback, Script, Sensing};
 use supple::util::progress::{ProgressBar, progress};
 use supple::util::terminal;
 use supple_record::RobotView;
+#[cfg(feature = "video")]
+use supple_record::Video;
 
 /// The error of `--video` in a program without the feature of that name.
 #[cfg(not(feature = "video"))]
@@ -65,7 +65,7 @@ fn play_scenario(args: &Args, scenario: &Scenario) -> Result<()> {
     #[cfg(not(feature = "video"))]
     anyhow::ensure!(args.video.is_none(), NO_VIDEO);
     #[cfg(feature = "video")]
-    let video = video::check(args)?;
+    let video = args.video.as_deref().map(|path| Video::new(path, args.video_size)).transpose()?;
     let mut robots = robots(args)?;
     if let Some(model) = &args.model {
         terminal::note(format_args!("{model}:"));
@@ -106,7 +106,7 @@ fn play_scenario(args: &Args, scenario: &Scenario) -> Result<()> {
     let object = || output::to_json(scenario, args.seed, args.sensing, &outcomes);
     let told = output::tell(args, scenario.name(), &outcomes, object);
     #[cfg(feature = "video")]
-    let told = told.and_then(|()| video.map_or(Ok(()), |video| video::write(&video, &trial, &traces)));
+    let told = told.and_then(|()| video.map_or(Ok(()), |video| trial.draw(&video, &traces)));
     // A recording is whole also if nothing else could be written. One that is served waits here until it is stopped.
     let recorded = recording.finish(&trial, &traces);
     if let (Err(_), Err(error)) = (&told, &recorded) {
@@ -261,5 +261,21 @@ impl<'a> Trial<'a> {
         let parts = self.parts().zip(models).map(|(((name, _), script), model)| (name.as_str(), model, &script.scene));
         let estimates = self.args.sensing == Sensing::Estimated;
         RobotView::several(parts).into_iter().map(|view| RobotView { estimates, ..view }).collect()
+    }
+
+    /// Draws the traces and writes the video.
+    #[cfg(feature = "video")]
+    fn draw(&self, video: &Video, traces: &[Trace]) -> Result<()> {
+        let models = self.models()?;
+        let played: Vec<_> = self.views(&models).into_iter().zip(traces).collect();
+        let bar = progress(0);
+        bar.set_message("drawing the video");
+        video.write(self.scenario.name(), &played, |drawn, count| {
+            bar.set_length(count);
+            bar.set_position(drawn);
+        })?;
+        bar.finish_and_clear();
+        terminal::note(format_args!("the video is in {}", video.path.display()));
+        Ok(())
     }
 }
