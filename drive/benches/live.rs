@@ -64,7 +64,7 @@ fn main() {
 
 /// Runs a viewer that reads everything, and returns the number of frames and bytes.
 fn watch(drive: &Drive) -> std::thread::JoinHandle<(f64, f64)> {
-    let mut socket = drive.socket("/view", Some(&format!("http://{}", drive.host)), &drive.token).expect("a viewer");
+    let mut socket = drive.open("/view");
     std::thread::spawn(move || {
         let (mut frames, mut bytes) = (0.0, 0.0);
         while let Ok(message) = socket.read() {

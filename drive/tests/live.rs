@@ -158,9 +158,8 @@ fn hostile_connections_do_not_disturb_robots() {
     let _ = open[1].write_all(&endless);
     let _ = open[2].write_all(&[0xff; 5000]);
 
-    let own = format!("http://{}", drive.host);
     let closes_on = |message: Message| {
-        let mut socket = drive.socket("/control", Some(&own), &drive.token).unwrap();
+        let mut socket = drive.open("/control");
         // The server may close the connection while we are still sending.
         let _ = socket.send(message);
         let start = Instant::now();
@@ -174,13 +173,13 @@ fn hostile_connections_do_not_disturb_robots() {
     closes_on(Message::binary(vec![0; 100]));
     closes_on(Message::text("[".repeat(1 << 20)));
     // Too many messages.
-    let mut flood = drive.socket("/control", Some(&own), &drive.token).unwrap();
+    let mut flood = drive.open("/control");
     let start_of_flood = Instant::now();
     while flood.send(Message::text(r#"{"command":[0,0,0]}"#)).is_ok() {
         assert!(start_of_flood.elapsed() < PATIENCE);
     }
     // A viewer that reads nothing.
-    let deaf = drive.socket("/view", Some(&own), &drive.token).unwrap();
+    let deaf = drive.open("/view");
 
     page.ask_for([0.3, 0.0, 0.0], Duration::from_secs(3));
     let rate = (page.number("/tick") - tick) / 240.0 / begun.elapsed().as_secs_f64();
@@ -284,11 +283,10 @@ fn newer_policy_of_run_takes_over_while_driving() {
 fn viewers_and_changes_leave_no_threads_behind() {
     let folder = tempfile::tempdir().unwrap();
     let drive = Drive::start(folder.path(), &[]);
-    let own = format!("http://{}", drive.host);
     let mut page = drive.page();
     // Reads a viewer's files for a while.
     let view = |page: &mut common::Page, count: usize, request: Option<&Value>| {
-        let mut viewer = drive.socket("/view", Some(&own), &drive.token).unwrap();
+        let mut viewer = drive.open("/view");
         for _ in 0..count {
             if let Some(request) = request {
                 page.send(request);

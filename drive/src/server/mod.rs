@@ -103,7 +103,7 @@ fn url(mut address: SocketAddr, token: &Token) -> String {
         IpAddr::V6(ip) if ip.is_unspecified() => address.set_ip(Ipv6Addr::LOCALHOST.into()),
         _ => {}
     }
-    format!("http://{address}/?token={token}")
+    format!("http://{address}/?token={}", token.0)
 }
 
 /// Starts a thread.

@@ -38,9 +38,14 @@ impl Drive {
         format!("http://{}/?token={}", self.host, self.token)
     }
 
+    /// Opens a socket as the server's own pages do.
+    pub fn open(&self, path: &str) -> WebSocket<TcpStream> {
+        self.socket(path, Some(&format!("http://{}", self.host)), &self.token).unwrap()
+    }
+
     /// Opens the socket of a page.
     pub fn page(&self) -> Page {
-        let socket = self.socket("/control", Some(&format!("http://{}", self.host)), &self.token).unwrap();
+        let socket = self.open("/control");
         let mut page = Page { socket, state: Value::Null, me: 0 };
         page.me = page.wait("a greeting", |_, message| message["hello"]["page"].as_u64());
         page

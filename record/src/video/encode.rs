@@ -36,12 +36,9 @@ pub(super) enum Format {
 impl Format {
     /// Returns the format that the ending of a file's name stands for.
     pub(super) fn of(path: &Path) -> Option<Self> {
-        match path.extension()?.to_str()?.to_ascii_lowercase().as_str() {
-            "mp4" => Some(Format::Mp4),
-            "webp" => Some(Format::WebP),
-            "gif" => Some(Format::Gif),
-            _ => None,
-        }
+        let endings = [("mp4", Format::Mp4), ("webp", Format::WebP), ("gif", Format::Gif)];
+        let found = path.extension()?;
+        endings.into_iter().find(|(ending, _)| found.eq_ignore_ascii_case(ending)).map(|(_, format)| format)
     }
 }
 

@@ -20,30 +20,18 @@ const WAITING: usize = 1000;
 /// A command with the reading that it answers.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Row {
-    /// Time since the start \[s\].
-    pub time_s: f64,
-    /// Clock of the robot \[s\].
-    pub tick_s: f64,
-    /// Joint angles \[rad\].
-    pub q: Joints,
-    /// Joint rates [rad/s].
-    pub dq: Joints,
-    /// Torques [N·m].
-    pub tau: Joints,
-    /// Orientation of the IMU, world from base (w, x, y, z).
-    pub quaternion: [f64; 4],
-    /// Angular velocity, base frame [rad/s].
-    pub gyro: [f64; 3],
-    /// Specific force, base frame [m/s²].
-    pub accelerometer: [f64; 3],
-    /// Commanded velocity: forward [m/s], left [m/s], yaw rate [rad/s].
-    pub command: [f64; 3],
-    /// Commanded compliance [m/s/N]; 0 for the policy's own.
-    pub compliance: f64,
-    /// Joint targets that were sent \[rad\].
-    pub target: Joints,
-    /// Gains that were sent [N·m/rad], [N·m·s/rad].
-    pub gains: [f64; 2],
+    pub time_s: f64,             // time since the start [s]
+    pub tick_s: f64,             // clock of the robot [s]
+    pub q: Joints,               // joint angles [rad]
+    pub dq: Joints,              // joint rates [rad/s]
+    pub tau: Joints,             // torques [N·m]
+    pub quaternion: [f64; 4],    // orientation of the IMU, world from base (w, x, y, z)
+    pub gyro: [f64; 3],          // angular velocity, base frame [rad/s]
+    pub accelerometer: [f64; 3], // specific force, base frame [m/s²]
+    pub command: [f64; 3],       // commanded velocity: forward [m/s], left [m/s], yaw rate [rad/s]
+    pub compliance: f64,         // commanded compliance [m/s/N]; 0 for the policy's own
+    pub target: Joints,          // joint targets that were sent [rad]
+    pub gains: [f64; 2],         // gains that were sent [N·m/rad], [N·m·s/rad]
 }
 
 /// The column of the commanded compliance, which logs of other programs need not have.

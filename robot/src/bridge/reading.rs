@@ -10,18 +10,13 @@ use crate::remote::Remote;
 /// A state of the robot.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Reading {
-    /// Clock of the robot \[ms\].
-    pub tick_ms: u32,
+    pub tick_ms: u32, // clock of the robot [ms]
     pub imu: ImuReading,
-    /// The IMU's own orientation, world from base.
-    pub world_from_base: UnitQuaternion<f64>,
+    pub world_from_base: UnitQuaternion<f64>, // the IMU's own orientation, world from base
     pub encoders: EncoderReading,
-    /// Torques of the motors [N·m].
-    pub torques: Joints,
-    /// Temperature of the hottest motor \[°C\], and the motor.
-    pub hottest: (u8, usize),
-    /// State of charge \[%\]; `None` if the battery reports nothing, as in simulators.
-    pub charge_percent: Option<u8>,
+    pub torques: Joints,            // torques of the motors [N·m]
+    pub hottest: (u8, usize),       // temperature of the hottest motor [°C], and the motor
+    pub charge_percent: Option<u8>, // state of charge [%]; `None` if the battery reports nothing, as in simulators
     pub remote: Remote,
 }
 

@@ -216,16 +216,14 @@ impl Node {
         let listen = || {
             let topic = self.topic::<T>(topic, type_name)?;
             let subscriber = self.participant.create_subscriber(QosKind::Default, NO_LISTENER, NO_STATUS)?;
-            let listener = Listener { take };
+            let listener = Listener(take);
             subscriber.create_datareader(&topic, QosKind::Specific(qos), Some(listener), &[StatusKind::DataAvailable])
         };
         listen().map_err(dds("listening"))
     }
 }
 
-struct Listener<F> {
-    take: F,
-}
+struct Listener<F>(F);
 
 impl<T: TypeSupport + Send + Sync + 'static, F: FnMut(Arrival<T>) + Send + 'static> DataReaderListener<T>
     for Listener<F>
@@ -235,7 +233,7 @@ impl<T: TypeSupport + Send + Sync + 'static, F: FnMut(Arrival<T>) + Send + 'stat
         let samples = reader.take(DEPTH as i32, ANY_SAMPLE_STATE, ANY_VIEW_STATE, ANY_INSTANCE_STATE).await;
         for sample in samples.into_iter().flatten() {
             let writer = sample.sample_info.publication_handle.into();
-            sample.data.into_iter().for_each(|message| (self.take)(Arrival { message, at, writer }));
+            sample.data.into_iter().for_each(|message| self.0(Arrival { message, at, writer }));
         }
     }
 }

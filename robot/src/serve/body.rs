@@ -85,12 +85,10 @@ pub fn configuration(mut config: Config, physics_hz: u32) -> anyhow::Result<Conf
 /// The events of a tick of [`STATE_HZ`].
 #[derive(Debug, Default)]
 pub struct Tick {
-    /// The frame that was completed, if any.
-    pub frame: Option<Frame>,
+    pub frame: Option<Frame>, // the frame that was completed, if any
     pub events: Vec<Event>,
     pub is_over: bool,
-    /// Motors at their torque limit: joint, commanded torque, limit [N·m].
-    pub saturated: Option<(usize, f64, f64)>,
+    pub saturated: Option<(usize, f64, f64)>, // motors at their torque limit: joint, commanded torque, limit [N·m]
 }
 
 /// The simulated robot.

@@ -29,12 +29,9 @@ pub struct Operator {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sight {
     pub now_s: f64,
-    /// Base height above the ground \[m\].
-    pub height_m: f64,
-    /// Angle between the trunk's up and the world's \[rad\].
-    pub tilt_rad: f64,
-    /// True if a client commands the motors.
-    pub is_commanded: bool,
+    pub height_m: f64,      // base height above the ground [m]
+    pub tilt_rad: f64,      // angle between the trunk's up and the world's [rad]
+    pub is_commanded: bool, // true if a client commands the motors
 }
 
 impl Operator {
