@@ -25,7 +25,7 @@ const QUEUE: usize = 512;
 /// The page, as the loop that plays the robot sees it.
 pub struct Page {
     messages: Receiver<Message>,
-    publisher: Publisher,
+    pub publisher: Publisher,
     robot: ServedRobot,
     /// The velocity that the page's stick asks for.
     pub command: Command,
@@ -111,7 +111,7 @@ impl Page {
                     // Compliance is the client's, and a robot that is commanded from outside is not put elsewhere.
                     Act::Comply { .. } | Act::Reset => {}
                 },
-                Heard::Other(Message::Notice(text)) => self.notice(text),
+                Heard::Other(Message::Notice(text)) => self.publisher.notice(text),
                 Heard::Released => self.let_go(body),
                 Heard::Request(_) | Heard::Nothing | Heard::Other(_) => {}
             }
@@ -132,10 +132,6 @@ impl Page {
     fn let_go(&mut self, body: &mut Body) {
         self.command = Command::default();
         self.hold(None, body);
-    }
-
-    pub fn notice(&mut self, text: String) {
-        self.publisher.notice(text);
     }
 
     /// Shows what a tick has brought.

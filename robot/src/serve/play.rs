@@ -304,7 +304,7 @@ impl<'a> Served<'a> {
     /// Shows a text on the terminal and the page.
     fn say(&mut self, now_s: f64, text: &str) {
         terminal::note(format_args!("{now_s:8.3} s: {text}"));
-        self.page.iter_mut().for_each(|page| page.notice(text.to_owned()));
+        self.page.iter_mut().for_each(|page| page.publisher.notice(text.to_owned()));
     }
 
     fn finish(self, pace: Pace) -> anyhow::Result<Summary> {
