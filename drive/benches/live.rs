@@ -64,7 +64,7 @@ fn main() {
 
 /// Runs a viewer that reads everything, and returns the number of frames and bytes.
 fn watch(drive: &Drive) -> std::thread::JoinHandle<(f64, f64)> {
-    let mut socket = drive.socket("/view", Some(&format!("http://{}", drive.host)), &drive.token).expect("a viewer");
+    let mut socket = drive.open("/view");
     std::thread::spawn(move || {
         let (mut frames, mut bytes) = (0.0, 0.0);
         while let Ok(message) = socket.read() {
@@ -124,13 +124,8 @@ fn measure(args: &Args, drive: &Drive, page: &mut Page, mut browser: Option<chro
     for (what, times) in [("takes effect", &mut effects), ("motion", &mut motions)] {
         times.sort_by(f64::total_cmp);
         let at = |fraction: f64| 1e3 * times[((times.len() - 1) as f64 * fraction).round() as usize];
-        println!(
-            "{what:13} median {:.1} ms, 99 % {:.1} ms, worst {:.1} ms, of {}",
-            at(0.5),
-            at(0.99),
-            at(1.0),
-            times.len()
-        );
+        let [median, p99, worst] = [0.5, 0.99, 1.0].map(at);
+        println!("{what:13} median {median:.1} ms, 99 % {p99:.1} ms, worst {worst:.1} ms, of {}", times.len());
     }
     for (time_s, mb, heap) in memory {
         let heap = heap.map_or(String::new(), |mb| format!(", the viewer's program {mb:.0} MB"));

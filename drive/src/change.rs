@@ -6,15 +6,14 @@ folder does not answer, is given up when another one waits.
 
 use std::collections::VecDeque;
 use std::sync::mpsc::SyncSender;
-use std::thread;
 use std::time::{Duration, Instant};
 
 use supple::mujoco;
 use supple::policy::AgentError;
 use supple::scenario::session::{AgentCache, AgentCacheError, LiveSession, SceneKind, Setup};
-use supple::util::terminal;
 
 use crate::message::{Built, Message, NewPolicy};
+use crate::server::start_thread;
 use crate::watch_run;
 
 /// Time after which pages show that a change is still being built.
@@ -34,20 +33,14 @@ const GIVEN_UP: usize = 4;
 pub enum Change {
     /// Another seed; `None` takes the next one.
     Seed(Option<u64>),
-    /// Another scene.
     Scene(SceneKind),
     /// Another policy and robot, as in [`Request::Robot`](crate::request::Request::Robot).
     Robot {
-        /// Index of the robot.
         index: usize,
-        /// Name, file or run folder of the policy.
         policy: Option<String>,
-        /// Name or file of the robot.
         robot: Option<String>,
     },
-    /// A newer policy of a training run.
     Policy(Box<NewPolicy>),
-    /// Another set-up.
     Setup(Setup),
 }
 
@@ -81,13 +74,11 @@ impl Change {
         }
         let world = LiveSession::new(setup, &mut cache)?;
         cache.tidy(&world.setup().robots);
-        let files = world.setup().robots.iter().map(|seat| watch_run::file_of(&seat.policy)).collect();
-        Ok(Built { world, cache, files })
+        Ok(Built { files: watch_run::files_of(&world), world, cache })
     }
 }
 
 /// The change that is being built.
-#[derive(Debug)]
 struct Present {
     number: u64,
     name: String,
@@ -97,7 +88,6 @@ struct Present {
 }
 
 /// Builds changes, one after another.
-#[derive(Debug)]
 pub struct Builder {
     waiting: VecDeque<Change>,
     present: Option<Present>,
@@ -114,16 +104,11 @@ impl Builder {
         Builder { waiting: VecDeque::new(), present: None, number: 0, given_up: 0, to_robots, is_shared }
     }
 
-    /// Adds a change.
-    ///
-    /// # Errors
-    /// Too many wait.
+    /// Adds a change, unless too many wait.
     pub fn add(&mut self, change: Change) -> Result<(), String> {
         if self.waiting.len() >= WAITING {
-            return Err(format!(
-                "{} is not loaded, because {WAITING} changes wait: try again in a moment",
-                change.name()
-            ));
+            let name = change.name();
+            return Err(format!("{name} is not loaded, because {WAITING} changes wait: try again in a moment"));
         }
         self.waiting.push_back(change);
         Ok(())
@@ -160,10 +145,7 @@ impl Builder {
         if self.present.is_some() { None } else { self.waiting.pop_front() }
     }
 
-    /// Starts to build a change of a set-up.
-    ///
-    /// # Errors
-    /// No thread can be had, or too many changes do not end.
+    /// Starts to build a change of a set-up, unless too many others do not end.
     pub fn start(&mut self, change: Change, before: &Setup, cache: &AgentCache) -> Result<(), String> {
         let name = change.name();
         if self.given_up >= GIVEN_UP {
@@ -178,21 +160,14 @@ impl Builder {
             // That of the scene before the present one.
             mujoco::release_memory();
             let result = change.build(setup, cache).map(Box::new).map_err(|error| {
-                let text = format!("{error:#}");
                 let is_harmless =
                     matches!(error.downcast_ref(), Some(AgentCacheError::Agent(AgentError::Unknown { .. })));
-                if !is_shared || is_harmless {
-                    return text;
-                }
-                // It may quote any file of this machine.
-                terminal::note(&text);
-                format!("{what} cannot be loaded: the terminal says why")
+                watch_run::told(&format!("{error:#}"), &what, is_shared && !is_harmless)
             });
             // The receiver is gone if the program is ending.
-            let _ = to_robots.send(Message::Built { number, result });
+            let _ = to_robots.send(Message::Built(number, result));
         };
-        let started = thread::Builder::new().name("loading".to_owned()).spawn(work);
-        started.map_err(|error| format!("{name} cannot be loaded without a thread: {error}"))?;
+        start_thread("loading", work).map_err(|error| format!("{name} cannot be loaded: {error:#}"))?;
         let (since, before) = (Instant::now(), before.clone());
         self.present = Some(Present { number, name, since, is_announced: false, before });
         Ok(())
@@ -204,13 +179,11 @@ impl Builder {
         number: u64,
         result: Result<Box<Built>, String>,
     ) -> Option<Result<(Box<Built>, Setup), String>> {
-        match self.present.take_if(|present| present.number == number) {
-            Some(present) => Some(result.map(|built| (built, present.before))),
-            None => {
-                self.given_up = self.given_up.saturating_sub(1);
-                None
-            }
-        }
+        let Some(present) = self.present.take_if(|present| present.number == number) else {
+            self.given_up = self.given_up.saturating_sub(1);
+            return None;
+        };
+        Some(result.map(|built| (built, present.before)))
     }
 }
 
@@ -232,10 +205,8 @@ mod tests {
             let (to_robots, messages) = sync_channel(1);
             let change = Change::Robot { index: 0, policy: Some(policy.to_owned()), robot: None };
             Builder::new(to_robots, is_shared).start(change, &setup, &cache).unwrap();
-            match messages.recv().unwrap() {
-                Message::Built { result: Err(text), .. } => text,
-                message => panic!("{message:?}"),
-            }
+            let Message::Built(_, Err(text)) = messages.recv().unwrap() else { panic!("it is built") };
+            text
         };
         let path = path.to_str().unwrap();
         assert!(told(path, false).contains("password_of_the_lab"), "{}", told(path, false));

@@ -16,13 +16,13 @@ const CATCH_UP: Duration = Duration::from_millis(50);
 const WINDOW: Duration = Duration::from_secs(2);
 
 /// The schedule of ticks in real time.
-#[derive(Debug)]
 pub struct Clock {
     /// Reference tick and the time at which it is due.
     origin: (u64, Instant),
     /// Requested ratio of simulated to real time.
-    speed: f64,
-    is_paused: bool,
+    pub speed: f64,
+    /// True while paused.
+    pub is_paused: bool,
     /// Recent steps: tick and time.
     steps: VecDeque<(u64, Instant)>,
 }
@@ -43,10 +43,8 @@ impl Clock {
     /// Notes that the step at this tick was played.
     pub fn stepped(&mut self, tick: u64) {
         let now = Instant::now();
-        if let Some(late) =
-            self.due(tick).and_then(|due| now.checked_duration_since(due)).filter(|late| *late > CATCH_UP)
-        {
-            self.origin.1 += late - CATCH_UP;
+        if let Some(due) = self.due(tick) {
+            self.origin.1 += now.saturating_duration_since(due).saturating_sub(CATCH_UP);
         }
         self.steps.push_back((tick, now));
         while self.steps.front().is_some_and(|(_, at)| now.duration_since(*at) > WINDOW) {
@@ -72,20 +70,10 @@ impl Clock {
         self.steps.clear();
     }
 
-    /// Returns the requested ratio of simulated to real time.
-    pub fn speed(&self) -> f64 {
-        self.speed
-    }
-
     /// Changes the speed from this tick on.
     pub fn set_speed(&mut self, speed: f64, tick: u64) {
         self.speed = speed;
         self.restart(tick);
-    }
-
-    /// Returns true while paused.
-    pub fn is_paused(&self) -> bool {
-        self.is_paused
     }
 
     /// Pauses, or resumes at this tick.

@@ -9,11 +9,12 @@ use crate::request::{PageId, Request};
 pub const SILENCE: Duration = Duration::from_millis(350);
 
 /// The driving page and when it was last heard.
-#[derive(Debug)]
 pub struct Driver {
-    page: Option<PageId>,
+    /// Id of the driving page, if there is one.
+    pub page: Option<PageId>,
     since: Instant,
-    count: u64,
+    /// Number of requests that the driving pages sent.
+    pub count: u64,
 }
 
 /// The meaning of a message to the thread that plays the robots.
@@ -36,16 +37,6 @@ impl Default for Driver {
 }
 
 impl Driver {
-    /// Returns the id of the driving page, if there is one.
-    pub fn page(&self) -> Option<PageId> {
-        self.page
-    }
-
-    /// Returns the number of requests that the driving pages sent.
-    pub fn count(&self) -> u64 {
-        self.count
-    }
-
     /// Returns true if the driving page has been silent for too long.
     pub fn is_silent(&self) -> bool {
         self.since.elapsed() > SILENCE
@@ -87,9 +78,9 @@ mod tests {
         assert!(matches!(driver.take(reset(2)), Heard::Nothing));
         assert!(matches!(driver.take(Message::Request(2, Request::Drive)), Heard::Released));
         assert!(matches!(driver.take(Message::PageClosed(1)), Heard::Nothing));
-        assert_eq!((driver.page(), driver.count()), (Some(2), 1));
+        assert_eq!((driver.page, driver.count), (Some(2), 1));
         assert!(matches!(driver.take(Message::PageClosed(2)), Heard::Released));
-        assert_eq!(driver.page(), None);
+        assert_eq!(driver.page, None);
         assert!(matches!(driver.take(Message::Notice("full".to_owned())), Heard::Other(Message::Notice(_))));
     }
 }

@@ -8,7 +8,7 @@ in a session, which can be played again bit for bit ([`replay`]).
 This is the only package that contains a web server.
 */
 
-pub mod change;
+mod change;
 pub mod clock;
 pub mod driver;
 pub mod live;
@@ -16,7 +16,7 @@ pub mod message;
 pub mod publisher;
 pub mod replay;
 pub mod request;
-pub mod save;
+mod save;
 pub mod server;
 pub mod viewer_stream;
 mod watch_run;

@@ -19,14 +19,13 @@ use crate::driver::Heard;
 use crate::message::{Built, Message, NewPolicy};
 use crate::publisher::{Due, Publisher, Updates};
 use crate::request::{Kept, Request, bounded};
-use crate::save::{Minute, Save, Saver};
+use crate::save::{Minute, Saver};
 use crate::watch_run;
 
 /// Length of a minute \[ticks\].
 const MINUTE: u64 = 60 * RATE_HZ;
 
 /// The state of the thread that owns the robots.
-#[derive(Debug)]
 pub struct Live {
     world: LiveSession,
     cache: AgentCache,
@@ -63,21 +62,19 @@ impl Live {
         let watched = Arc::default();
         watch_run::start(Arc::clone(&watched), to_self.clone(), is_shared)?;
         let publisher = Publisher::new(&world);
-        let shown = publisher.updates().shown;
-        let saver = Saver::start(folder, to_self.clone(), move || shown.borrow().is_behind)?;
-        let files = world.setup().robots.iter().map(|seat| watch_run::file_of(&seat.policy)).collect();
+        let shown = publisher.updates.shown.clone();
         let live = Live {
-            world,
             cache,
             writer: Ok(writer),
-            saver,
+            saver: Saver::start(folder, to_self.clone(), move || shown.borrow().is_behind)?,
             minute: Minute::new(publisher.cast()),
             publisher,
             command: Command::default(),
             pull: None,
             builder: Builder::new(to_self, is_shared),
-            files,
+            files: watch_run::files_of(&world),
             watched,
+            world,
         };
         live.watch_policies();
         Ok(live)
@@ -85,7 +82,7 @@ impl Live {
 
     /// Returns the channels to pages and viewers.
     pub fn updates(&self) -> Updates {
-        self.publisher.updates()
+        self.publisher.updates.clone()
     }
 
     /// Plays until a [`Message::Stop`] arrives.
@@ -113,16 +110,13 @@ impl Live {
 
     fn step(&mut self) -> anyhow::Result<()> {
         let tick = self.world.tick();
-        // A recording holds the frames of one set-up.
-        if !self.minute.belongs_to(self.publisher.cast()) {
-            self.minute = Minute::new(self.publisher.cast());
-        }
         let played = self.world.step()?;
         self.publisher.note_steps(&self.world, tick, &played);
-        self.minute.add(tick, played);
-        self.minute.forget(tick.saturating_sub(MINUTE));
+        self.minute.add(self.publisher.cast(), tick, played);
+        let past = tick.saturating_sub(MINUTE);
+        self.minute.forget(past);
         if let Ok(writer) = &mut self.writer {
-            writer.tidy(tick.saturating_sub(MINUTE));
+            writer.tidy(past);
         }
         Ok(())
     }
@@ -132,7 +126,7 @@ impl Live {
             Heard::Request(request) => self.answer(request)?,
             Heard::Released => self.let_go()?,
             Heard::Other(Message::PolicySaved(new)) => self.change(Change::Policy(new)),
-            Heard::Other(Message::Built { number, result }) => match self.builder.finish(number, result) {
+            Heard::Other(Message::Built(number, result)) => match self.builder.finish(number, result) {
                 Some(Ok((built, before))) => self.take_over(*built, &before)?,
                 Some(Err(problem)) => self.publisher.notice(problem),
                 None => {}
@@ -140,7 +134,7 @@ impl Live {
             Heard::Other(Message::Notice(text)) => self.publisher.notice(text),
             Heard::Nothing | Heard::Other(_) => {}
         }
-        if self.publisher.clock.is_paused() {
+        if self.publisher.clock.is_paused {
             self.publisher.publish(&self.world);
         }
         Ok(())
@@ -171,19 +165,13 @@ impl Live {
     }
 
     fn command(&mut self, command: Command) -> anyhow::Result<()> {
-        if command == self.command {
-            return Ok(());
-        }
-        self.command = command;
-        self.input(Input::Act(Act::Command(command)))
+        let is_new = std::mem::replace(&mut self.command, command) != command;
+        if is_new { self.input(Input::Act(Act::Command(command))) } else { Ok(()) }
     }
 
     fn hold(&mut self, force: Option<[f64; 2]>) -> anyhow::Result<()> {
-        if force == self.pull {
-            return Ok(());
-        }
-        self.pull = force;
-        self.input(Input::Act(Act::Hand(force)))
+        let is_new = std::mem::replace(&mut self.pull, force) != force;
+        if is_new { self.input(Input::Act(Act::Hand(force))) } else { Ok(()) }
     }
 
     fn let_go(&mut self) -> anyhow::Result<()> {
@@ -208,12 +196,9 @@ impl Live {
         if let Ok(writer) = &mut self.writer
             && let Err(error) = writer.input(tick, input, &self.cache)
         {
-            let problem = format!(
-                "since {:.1} s nothing can be saved: {}: {error}; make room there, or choose another folder with TMPDIR, and \
-                 start again",
-                tick as f64 / RATE_HZ as f64,
-                temporary()
-            );
+            let (time_s, place) = (tick as f64 / RATE_HZ as f64, temporary());
+            let hint = "make room there, or choose another folder with TMPDIR, and start again";
+            let problem = format!("since {time_s:.1} s nothing can be saved: {place}: {error}; {hint}");
             self.publisher.notice(problem.clone());
             self.writer = Err(problem);
         }
@@ -222,9 +207,7 @@ impl Live {
 
     /// Adds a change of scene or robots to those that wait to be built.
     fn change(&mut self, change: Change) {
-        if let Err(problem) = self.builder.add(change) {
-            self.publisher.notice(problem);
-        }
+        self.builder.add(change).unwrap_or_else(|problem| self.publisher.notice(problem));
     }
 
     /// Begins to build the next change.
@@ -237,10 +220,8 @@ impl Live {
                 Change::Policy(new) => self.renew(*new)?,
                 change => Some(change),
             };
-            if let Some(Err(problem)) = change.map(|change| self.builder.start(change, self.world.setup(), &self.cache))
-            {
-                self.publisher.notice(problem);
-            }
+            let started = change.map_or(Ok(()), |change| self.builder.start(change, self.world.setup(), &self.cache));
+            started.unwrap_or_else(|problem| self.publisher.notice(problem));
         }
         Ok(())
     }
@@ -278,24 +259,21 @@ impl Live {
     /// built for it, if there is one.
     fn renew(&mut self, new: NewPolicy) -> anyhow::Result<Option<Change>> {
         let (sha256, simulation) = (new.agent.sha256.clone(), new.agent.config.simulation.clone());
-        let seats = self.world.setup().robots.iter().zip(&self.files).enumerate();
-        let is_older = seats.filter(|(_, (seat, file))| seat.sha256 != sha256 && file.as_ref() == Some(&new.path));
-        let robots: Vec<usize> = is_older.map(|(robot, _)| robot).collect();
+        let (old, mut setup) = (self.world.setup().robots.clone(), self.world.setup().clone());
+        let mut robots = Vec::new();
+        for (robot, (seat, file)) in setup.robots.iter_mut().zip(&self.files).enumerate() {
+            if seat.sha256 != sha256 && file.as_ref() == Some(&new.path) {
+                (seat.sha256, seat.compliance) = (sha256.clone(), None);
+                robots.push(robot);
+            }
+        }
         if robots.is_empty() {
             return Ok(None);
         }
         self.cache.put(new.agent, new.file);
-        let old = self.world.setup().robots.clone();
-        let mut setup = self.world.setup().clone();
-        for &robot in &robots {
-            let seat = &mut setup.robots[robot];
-            (seat.sha256, seat.compliance) = (sha256.clone(), None);
-        }
-        for &robot in &robots {
-            // Other rates, gains or latency need a new scene.
-            if self.world.simulation(robot) != Some(&simulation) {
-                return Ok(Some(Change::Setup(setup)));
-            }
+        // Other rates, gains or latency need a new scene.
+        if robots.iter().any(|robot| self.world.simulation(*robot) != Some(&simulation)) {
+            return Ok(Some(Change::Setup(setup)));
         }
         for robot in robots {
             self.input(Input::Renew { robot, sha256: sha256.clone() })?;
@@ -315,10 +293,8 @@ impl Live {
             Err(problem) => Err(problem.clone()),
         };
         let minute = (what == Kept::Minute).then(|| self.minute.clone());
-        let saved = part.and_then(|part| self.saver.save(Save { part, minute }));
-        if let Err(problem) = saved {
-            self.publisher.notice(problem);
-        }
+        let saved = part.and_then(|part| self.saver.save(part, minute));
+        saved.unwrap_or_else(|problem| self.publisher.notice(problem));
     }
 
     fn watch_policies(&self) {

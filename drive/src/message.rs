@@ -18,13 +18,8 @@ pub enum Message {
     Request(PageId, Request),
     /// A training run saved a newer policy.
     PolicySaved(Box<NewPolicy>),
-    /// A change of robots or scene is ready, or has failed.
-    Built {
-        /// Number of the change.
-        number: u64,
-        /// The new robots, or the reason why there are none.
-        result: Result<Box<Built>, String>,
-    },
+    /// The change of robots or scene with this number is ready, or the reason why it has failed.
+    Built(u64, Result<Box<Built>, String>),
     /// A replayed session is at its first shown step again, or the reason why it cannot be.
     Rewound(Result<Box<SessionReplay>, String>),
     /// A text to show on all pages.

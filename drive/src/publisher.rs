@@ -5,8 +5,9 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
+use serde_json::json;
 use supple::robot::GRAVITY_M_S2;
-use supple::scenario::session::{Act, Input, LiveReadout, LiveSession, RobotStep, SceneKind};
+use supple::scenario::session::{Act, Input, LiveReadout, LiveSession, RobotStep, SceneKind, Seat};
 use supple::scenario::trace::EventKind;
 use supple::task::Command;
 use supple::util::numbers::short;
@@ -15,7 +16,6 @@ use tokio::sync::watch;
 use crate::clock::Clock;
 use crate::driver::Driver;
 use crate::message::Message;
-use crate::request::{RobotStatus, State};
 use crate::viewer_stream::{Cast, Snapshot};
 
 /// Longest wait for a message: silence of the driving page is noticed while paused, too.
@@ -92,21 +92,15 @@ impl Shown for LiveSession {
 
     fn facts(&self) -> Vec<Facts> {
         let seats = self.setup().robots.iter().zip(self.reaches()).zip(self.falls()).zip(self.weights_and_periods());
-        let facts = seats.map(|(((seat, reach), falls), (weight_n, period_s))| Facts {
-            policy: seat.policy.clone(),
-            robot: seat.robot.clone(),
-            compliance: seat.compliance,
-            reach,
-            falls,
-            weight_n,
-            period_s,
-        });
-        facts.collect()
+        let facts = |(((seat, reach), falls), (weight_n, period_s)): (((&Seat, _), _), _)| {
+            let Seat { policy, robot, compliance, .. } = seat.clone();
+            Facts { policy, robot, compliance, reach, falls, weight_n, period_s }
+        };
+        seats.map(facts).collect()
     }
 }
 
 /// The published state: clock, driver, measurements and notices.
-#[derive(Debug)]
 pub struct Publisher {
     /// Clock that ties simulated to real time.
     pub clock: Clock,
@@ -114,7 +108,8 @@ pub struct Publisher {
     pub driver: Driver,
     meters: Vec<LiveReadout>,
     shown: Snapshot,
-    updates: Updates,
+    /// The channels to pages and viewers.
+    pub updates: Updates,
     notices: VecDeque<String>,
     noticed: u64,
     /// True if pages and viewers must be redrawn, also while paused.
@@ -126,24 +121,12 @@ impl Publisher {
     pub fn new(world: &impl Shown) -> Self {
         let shown = Snapshot::new(world.cast());
         let updates = Updates { state: watch::Sender::new(Arc::from("{}")), shown: watch::Sender::new(shown.clone()) };
-        let mut publisher = Publisher {
-            clock: Clock::new(world.tick()),
-            driver: Driver::default(),
-            meters: Vec::new(),
-            shown,
-            updates,
-            notices: VecDeque::new(),
-            noticed: 0,
-            is_stale: false,
-        };
+        let (clock, driver, notices) = (Clock::new(world.tick()), Driver::default(), VecDeque::new());
+        let mut publisher =
+            Publisher { clock, driver, meters: Vec::new(), shown, updates, notices, noticed: 0, is_stale: false };
         publisher.begin(world);
         publisher.publish(world);
         publisher
-    }
-
-    /// Returns the channels to pages and viewers.
-    pub fn updates(&self) -> Updates {
-        self.updates.clone()
     }
 
     /// Returns the robots and scenes that are played.
@@ -203,16 +186,13 @@ impl Publisher {
             }
             self.shown.beginnings[robot] += u64::from(played.is_beginning);
             if let Some(event) = played.events.last() {
-                let (count, last) = &mut self.shown.events[robot];
-                *count += 1;
-                *last = Some(event.clone());
+                self.shown.events[robot] = (self.shown.events[robot].0 + 1, Some(event.clone()));
             }
             for event in played.events.iter().filter(|event| event.kind != EventKind::Disturbance) {
                 let title = world.facts()[robot].title(&self.shown.cast.names[robot]);
                 let text = format!("{title}: {}", event.text);
                 // A policy that fails does so in every step.
-                let is_known = event.kind == EventKind::Fault && self.notices.contains(&text);
-                if !is_known {
+                if event.kind != EventKind::Fault || !self.notices.contains(&text) {
                     self.notice(text);
                 }
             }
@@ -235,39 +215,40 @@ impl Publisher {
     pub fn publish(&self, world: &impl Shown) {
         let (scene, seed) = world.scene();
         let range = world.range();
-        let robots = world.facts().into_iter().enumerate().map(|(index, facts)| {
-            let frame = self.shown.frames[index].as_deref();
+        let robot = |(index, facts): (usize, Facts)| {
+            let (name, frame) = (&self.shown.cast.names[index], self.shown.frames[index].as_deref());
             let [forward, left, _] = frame.map_or([0.0; 3], |frame| frame.velocity_in_heading);
-            RobotStatus {
-                title: facts.title(&self.shown.cast.names[index]),
-                name: self.shown.cast.names[index].clone(),
-                policy: facts.policy,
-                robot: facts.robot,
-                time_s: frame.map_or(0.0, |frame| frame.time_s),
-                position: frame.map_or([0.0; 3], |frame| frame.position),
-                velocity: [forward, left, frame.map_or(0.0, |frame| frame.yaw_rate)],
-                compliance: facts.compliance,
-                reach: facts.reach,
-                falls: facts.falls,
-                reading: self.meters[index].read(),
-            }
-        });
-        let state = State {
-            tick: world.tick(),
-            heard: self.driver.count(),
-            rate: self.clock.rate(),
-            speed: self.clock.speed(),
-            behind: self.clock.is_behind(),
-            paused: self.clock.is_paused(),
-            driver: self.driver.page(),
-            scene,
-            seed,
-            range: [range.forward, range.left, range.yaw],
-            robots: robots.collect(),
-            notices: (self.noticed, self.notices.iter().cloned().collect()),
+            json!({
+                "name": name, // unique, in the viewer
+                "title": facts.title(name), // with the commanded compliance, such as baseline@0.03
+                "policy": facts.policy,
+                "robot": facts.robot,
+                "time_s": frame.map_or(0.0, |frame| frame.time_s),
+                "position": frame.map_or([0.0; 3], |frame| frame.position), // world frame [m]
+                // Heading frame: forward [m/s], left [m/s], yaw rate [rad/s].
+                "velocity": [forward, left, frame.map_or(0.0, |frame| frame.yaw_rate)],
+                "compliance": facts.compliance,
+                "reach": facts.reach,
+                "falls": facts.falls,
+                "reading": self.meters[index].read(), // velocity, power, push and pull; null before the first step
+            })
         };
-        // Numbers and strings always serialise.
-        let text = serde_json::to_string(&serde_json::json!({ "state": state })).unwrap_or_default();
+        let robots: Vec<_> = world.facts().into_iter().enumerate().map(robot).collect();
+        let state = json!({
+            "tick": world.tick(), // at which the next step begins
+            "heard": self.driver.count, // messages of the driving page that have taken effect
+            "rate": self.clock.rate(), // measured ratio of simulated to real time
+            "speed": self.clock.speed, // requested ratio
+            "behind": self.clock.is_behind(), // the machine is too slow for it
+            "paused": self.clock.is_paused,
+            "driver": self.driver.page,
+            "scene": scene,
+            "seed": seed,
+            "range": [range.forward, range.left, range.yaw], // largest commands [m/s], [m/s], [rad/s]
+            "robots": robots,
+            "notices": (self.noticed, &self.notices), // number of the newest one, and the last few
+        });
+        let text = json!({ "state": state }).to_string();
         self.updates.state.send_replace(text.into());
     }
 }

@@ -1,13 +1,11 @@
 //! Replays a saved session: same inputs, same code, same bits.
 
 use std::fs::File;
-use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, SyncSender};
-use std::thread;
 
-use anyhow::Context;
-use supple::scenario::session::{Act, Input, ReplayStep, RobotStep, SavedSession, SessionReplay};
+use supple::scenario::session::{Act, Input, RobotStep, SavedSession, SessionReplay};
+use supple::util::files::FileError;
 use supple::util::terminal;
 use supple_record::{RecordError, Recorder, Sink, check_name};
 
@@ -15,10 +13,10 @@ use crate::driver::Heard;
 use crate::message::Message;
 use crate::publisher::{Due, Publisher};
 use crate::request::Request;
+use crate::server::start_thread;
 use crate::viewer_stream::Cast;
 
 /// The result of a replay.
-#[derive(Debug)]
 pub struct Replayed {
     /// Number of policy steps, summed over the robots.
     pub steps: usize,
@@ -32,25 +30,19 @@ pub struct Replayed {
     pub recordings: Vec<PathBuf>,
 }
 
-/// Replays a session as fast as possible, optionally writes recordings, and calls `look` after each step. The first recording
+/// Replays a session as fast as possible, optionally writes recordings, and calls `after_step`. The first recording
 /// may replace a file, those of further set-ups are numbered and new.
 ///
 /// # Errors
 /// A policy or robot is missing or has changed, or a recording cannot be written, is no `.rrd` file or would replace a file that
 /// was not named.
-pub fn play(
-    session: SavedSession,
-    recording: Option<&Path>,
-    mut look: impl FnMut(&SessionReplay, &ReplayStep),
-) -> anyhow::Result<Replayed> {
+pub fn play(session: SavedSession, recording: Option<&Path>, mut after_step: impl FnMut()) -> anyhow::Result<Replayed> {
     if let Some(path) = recording {
         check_name(path)?;
         let set_ups = session.inputs().iter().filter(|(_, input)| matches!(input, Input::Setup(_))).count();
         if let Some(taken) = (1..set_ups).map(|count| numbered(path, count)).find(|path| path.exists()) {
-            anyhow::bail!(
-                "{} exists already and would be replaced by the recording of another set-up: remove it, or choose another name",
-                taken.display()
-            );
+            let problem = "exists already and would be replaced by the recording of another set-up";
+            anyhow::bail!("{} {problem}: remove it, or choose another name", taken.display());
         }
     }
     let mut playback = session.play()?;
@@ -68,17 +60,16 @@ pub fn play(
             if let (None, Some(path)) = (&recorder, recording) {
                 let path = numbered(path, replayed.recordings.len());
                 if !replayed.recordings.is_empty() {
-                    File::create_new(&path)
-                        .with_context(|| format!("cannot create the recording {}", path.display()))?;
+                    File::create_new(&path).map_err(FileError::of("cannot create the recording", &path))?;
                 }
-                recorder = Some(Cast::new(&playback.world).record(Sink::File(path.clone()))?);
+                recorder = Some(Cast::new(&playback.world).record(Sink::File(path.clone()), false)?);
                 replayed.recordings.push(path);
             }
             if let Some(recorder) = &mut recorder {
                 step.played.iter().try_for_each(|played| record(recorder, played))?;
             }
         }
-        look(&playback, &step);
+        after_step();
     }
     recorder.map_or(Ok(()), Recorder::finish)?;
     replayed.falls = playback.world.falls().collect();
@@ -88,16 +79,12 @@ pub fn play(
 }
 
 /// Records a step.
-///
-/// # Errors
-/// The recording cannot be written, e.g. because the disk is full.
-pub fn record(recorder: &mut Recorder, played: &RobotStep) -> Result<(), RecordError> {
+pub(crate) fn record(recorder: &mut Recorder, played: &RobotStep) -> Result<(), RecordError> {
     let Some(frame) = &played.frame else { return Ok(()) };
     if played.is_beginning {
         recorder.begin_again(played.robot)?;
     }
-    recorder.frame(played.robot, frame)?;
-    played.events.iter().try_for_each(|event| recorder.event(played.robot, event))
+    recorder.step(played.robot, Some(frame), &played.events)
 }
 
 /// Replays a session in real time on pages and viewers, and pauses at its end. The driving page can pause, slow down and start
@@ -125,14 +112,11 @@ pub fn watch(
         let tick = playback.world.tick();
         match publisher.driver.take(message) {
             Heard::Other(Message::Stop) => return Ok(()),
-            Heard::Request(request) => match request {
-                Request::Pause(is_paused) => publisher.clock.pause(is_paused, tick),
-                Request::Speed(speed) => publisher.clock.set_speed(speed, tick),
-                Request::Act(Act::Reset) if !is_loading => match rewind(path, to_self.clone()) {
-                    Ok(()) => is_loading = true,
-                    Err(error) => publisher.notice(format!("cannot start over without a thread: {error}")),
-                },
-                _ => {}
+            Heard::Request(Request::Pause(is_paused)) => publisher.clock.pause(is_paused, tick),
+            Heard::Request(Request::Speed(speed)) => publisher.clock.set_speed(speed, tick),
+            Heard::Request(Request::Act(Act::Reset)) if !is_loading => match rewind(path, to_self.clone()) {
+                Ok(()) => is_loading = true,
+                Err(error) => publisher.notice(format!("cannot start over: {error:#}")),
             },
             Heard::Other(Message::Rewound(result)) => {
                 is_loading = false;
@@ -149,21 +133,20 @@ pub fn watch(
                 }
             }
             Heard::Other(Message::Notice(text)) => publisher.notice(text),
-            Heard::Released | Heard::Nothing | Heard::Other(_) => {}
+            Heard::Request(_) | Heard::Released | Heard::Nothing | Heard::Other(_) => {}
         }
         publisher.publish(&playback.world);
     }
 }
 
 /// Loads a session again on a thread of its own, which sends it as a [`Message::Rewound`].
-fn rewind(path: &Path, to_self: SyncSender<Message>) -> io::Result<()> {
+fn rewind(path: &Path, to_self: SyncSender<Message>) -> anyhow::Result<()> {
     let path = path.to_owned();
-    let work = move || {
+    start_thread("loading", move || {
         let rewound = begin(&path).map(Box::new).map_err(|error| format!("{error:#}"));
         // The receiver is gone if the program is ending.
         let _ = to_self.send(Message::Rewound(rewound));
-    };
-    thread::Builder::new().name("loading".to_owned()).spawn(work).map(drop)
+    })
 }
 
 /// Loads a session and plays it silently up to its first shown step.

@@ -1,7 +1,7 @@
-//! The JSON messages between a page and the server: requests of the page, greeting and state from the server.
+//! The JSON messages of a page to the server, and what they may do.
 
-use serde::{Deserialize, Serialize};
-use supple::scenario::session::{Act, PushUnit, Reading, SceneKind};
+use serde::Deserialize;
+use supple::scenario::session::{Act, PushUnit, SceneKind};
 use supple::task::Command;
 use supple::util::terminal::echo;
 
@@ -9,11 +9,13 @@ use supple::util::terminal::echo;
 pub type PageId = u64;
 
 /// Largest push [m/s].
-pub const MOST_PUSH_M_S: f64 = 3.0;
+const MOST_PUSH_M_S: f64 = 3.0;
 /// Largest push [N·s]; about 3 m/s for the paper's robot of 12 kg.
-pub const MOST_PUSH_N_S: f64 = 40.0;
+const MOST_PUSH_N_S: f64 = 40.0;
 /// Largest pull \[N\].
 pub const MOST_PULL_N: f64 = 100.0;
+/// All three of them, as pages are told.
+pub const MOST: [f64; 3] = [MOST_PUSH_M_S, MOST_PUSH_N_S, MOST_PULL_N];
 
 /// A request of a page; all but `Drive` are obeyed only from the driving page.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
@@ -64,11 +66,9 @@ impl Request {
         let request = serde_json::from_str(text)
             .map_err(|error| format!("it is no request of a page: {}", echo(&error.to_string())))?;
         // JSON has no infinity, but 1e999 is read as one.
-        match &request {
+        match request {
             Request::Act(act) if !act.is_finite() => Err("a number is out of range".to_owned()),
-            Request::Speed(speed) if !(0.05..=1.0).contains(speed) => {
-                Err(format!("the speed is {speed}, expected 0.05 to 1"))
-            }
+            Request::Speed(x) if !(0.05..=1.0).contains(&x) => Err(format!("the speed is {x}, expected 0.05 to 1")),
             _ => Ok(request),
         }
     }
@@ -78,12 +78,9 @@ impl Request {
 pub fn bounded(act: Act, range: &Command) -> Act {
     match act {
         Act::Command(Command { forward, left, yaw, .. }) => {
-            let within = |value: f64, most: f64| value.clamp(-most, most);
-            Act::Command(Command::velocity(
-                within(forward, range.forward),
-                within(left, range.left),
-                within(yaw, range.yaw),
-            ))
+            let within = |(value, most): (f64, f64)| value.clamp(-most, most);
+            let [forward, left, yaw] = [(forward, range.forward), (left, range.left), (yaw, range.yaw)].map(within);
+            Act::Command(Command::velocity(forward, left, yaw))
         }
         Act::Push { size, unit } => {
             let most = match unit {
@@ -106,77 +103,6 @@ pub fn limited(vector: [f64; 2], most: f64) -> [f64; 2] {
     }
     let length = vector[0].hypot(vector[1]);
     if length > most { vector.map(|part| part * most / length) } else { vector }
-}
-
-/// The greeting to a new page.
-#[derive(Debug, Clone, Serialize)]
-pub struct Hello {
-    /// Names of the shipped policies.
-    pub policies: Vec<String>,
-    /// Scenes that can be chosen.
-    pub scenes: Vec<SceneKind>,
-    /// Largest push [m/s] and [N·s], and largest pull \[N\].
-    pub most: [f64; 3],
-    /// True if the page embeds the viewer, false if a separate viewer runs.
-    pub viewer: bool,
-    /// True if the robot is played by another program: the page cannot change robots, scene or time, nor save.
-    pub is_served: bool,
-}
-
-/// The state sent to all pages after every step.
-#[derive(Debug, Clone, Serialize)]
-pub struct State {
-    /// Tick at which the next step begins.
-    pub tick: u64,
-    /// Number of the driving page's messages that have taken effect.
-    pub heard: u64,
-    /// Measured ratio of simulated to real time.
-    pub rate: Option<f64>,
-    /// Requested ratio of simulated to real time.
-    pub speed: f64,
-    /// True if the machine is too slow for `speed`.
-    pub behind: bool,
-    /// True while paused.
-    pub paused: bool,
-    /// Id of the driving page, if there is one.
-    pub driver: Option<PageId>,
-    /// Current scene, if it is one of those that can be chosen.
-    pub scene: Option<SceneKind>,
-    /// Seed of the scene.
-    pub seed: u64,
-    /// Largest commands: forward [m/s], left [m/s], yaw rate [rad/s].
-    pub range: [f64; 3],
-    /// Status of each robot.
-    pub robots: Vec<RobotStatus>,
-    /// Number of the newest notice, and the last few.
-    pub notices: (u64, Vec<String>),
-}
-
-/// The status of a robot.
-#[derive(Debug, Clone, Serialize)]
-pub struct RobotStatus {
-    /// Unique name of the robot in the viewer.
-    pub name: String,
-    /// Name of the robot with its commanded compliance, such as `baseline@0.03`.
-    pub title: String,
-    /// Policy as it was requested: name, file or run folder.
-    pub policy: String,
-    /// Robot as it was requested: name or file.
-    pub robot: String,
-    /// Simulated time of the robot \[s\].
-    pub time_s: f64,
-    /// Position in the world frame \[m\].
-    pub position: [f64; 3],
-    /// Current velocity in the heading frame: forward [m/s], left [m/s], yaw rate [rad/s].
-    pub velocity: [f64; 3],
-    /// Commanded compliance [m/s/N]; null for the policy's own.
-    pub compliance: Option<f64>,
-    /// Range of commanded compliance, and own compliance forward and left [m/s/N]; `None` if the policy is not calibrated.
-    pub reach: Option<([f64; 2], [f64; 2])>,
-    /// Number of falls since the last setup.
-    pub falls: u32,
-    /// Present measurements: velocity, power, push and pull; `None` before the first step.
-    pub reading: Option<Reading>,
 }
 
 #[cfg(test)]

@@ -18,6 +18,7 @@ use supple_record::Sink;
 
 use crate::message::Message;
 use crate::replay;
+use crate::server::start_thread;
 use crate::viewer_stream::Cast;
 
 /// Pause of a recording after each step while the live robots are late.
@@ -38,18 +39,15 @@ pub struct Minute {
 }
 
 impl Minute {
-    /// Creates an empty minute for these robots.
     pub fn new(cast: &Arc<Cast>) -> Self {
         Minute { cast: Arc::clone(cast), steps: VecDeque::new() }
     }
 
-    /// Returns true if the steps are of these robots.
-    pub fn belongs_to(&self, cast: &Arc<Cast>) -> bool {
-        Arc::ptr_eq(&self.cast, cast)
-    }
-
-    /// Adds steps that began at a tick.
-    pub fn add(&mut self, tick: u64, steps: Vec<RobotStep>) {
+    /// Adds steps of these robots that began at a tick. A recording holds the frames of one set-up: others are dropped.
+    pub fn add(&mut self, cast: &Arc<Cast>, tick: u64, steps: Vec<RobotStep>) {
+        if !Arc::ptr_eq(&self.cast, cast) {
+            *self = Minute::new(cast);
+        }
         self.steps.extend(steps.into_iter().map(|played| (tick, played)));
     }
 
@@ -60,22 +58,15 @@ impl Minute {
         }
     }
 
-    /// Writes the steps as a recording.
     fn record(&self, path: &Path) -> anyhow::Result<()> {
-        let mut recorder = self.cast.record(Sink::File(path.to_owned()))?;
+        let mut recorder = self.cast.record(Sink::File(path.to_owned()), false)?;
         self.steps.iter().try_for_each(|(_, played)| replay::record(&mut recorder, played))?;
         Ok(recorder.finish()?)
     }
 }
 
-/// A session to be saved.
-#[derive(Debug)]
-pub struct Save {
-    /// The session, or its last part.
-    pub part: SessionPart,
-    /// The steps to be recorded; `None` replays the session.
-    pub minute: Option<Minute>,
-}
+/// A session to be saved, or its last part, and the steps to be recorded; `None` replays the session.
+type Save = (SessionPart, Option<Minute>);
 
 /// A session that is saved, and the name reserved for its recording.
 struct Saved {
@@ -88,7 +79,6 @@ struct Saved {
 type Unfinished = Arc<Mutex<Option<Vec<PathBuf>>>>;
 
 /// The threads that write sessions and recordings.
-#[derive(Debug)]
 pub struct Saver {
     to: SyncSender<Save>,
     unfinished: Unfinished,
@@ -98,21 +88,18 @@ pub struct Saver {
 
 impl Saver {
     /// Starts the threads. Saves go into `folder`, and notices `to_robots`; recordings pause while the live robots are late.
-    ///
-    /// # Errors
-    /// A thread cannot be started.
     pub fn start(
         folder: PathBuf,
         to_robots: SyncSender<Message>,
         is_late: impl Fn() -> bool + Send + 'static,
-    ) -> io::Result<Self> {
+    ) -> anyhow::Result<Self> {
         let (to, saves) = sync_channel::<Save>(WAITING);
         let (to_recorder, saved) = sync_channel::<Saved>(WAITING);
         let (end, ended) = channel();
         let (notices, unfinished) = (to_robots.clone(), Unfinished::new(Mutex::new(Some(Vec::new()))));
         let (reserved, done) = (Arc::clone(&unfinished), Arc::clone(&unfinished));
         let save = move || {
-            for Save { part, minute } in saves {
+            for (part, minute) in saves {
                 let text = match write_session(&folder, &part) {
                     Ok((session, recording)) => {
                         with(&reserved, |all| all.push(recording.clone()));
@@ -139,19 +126,15 @@ impl Saver {
                 let _ = to_robots.send(Message::Notice(text));
             }
         };
-        thread::Builder::new().name("saving sessions".to_owned()).spawn(save)?;
-        thread::Builder::new().name("recording".to_owned()).spawn(record)?;
+        start_thread("saving sessions", save)?;
+        start_thread("recording", record)?;
         Ok(Saver { to, unfinished, ended })
     }
 
-    /// Saves a session.
-    ///
-    /// # Errors
-    /// Too many others wait.
-    pub fn save(&self, save: Save) -> Result<(), String> {
-        self.to
-            .try_send(save)
-            .map_err(|_| "not saved, because others are being saved: try again in a moment".to_owned())
+    /// Saves a session, unless too many others wait.
+    pub fn save(&self, part: SessionPart, minute: Option<Minute>) -> Result<(), String> {
+        let full = |_| "not saved, because others are being saved: try again in a moment".to_owned();
+        self.to.try_send((part, minute)).map_err(full)
     }
 
     /// Waits for a moment until all sessions are written; recordings that are not whole are removed.
@@ -164,27 +147,19 @@ impl Saver {
             let (session, word) = (terminal::shell_word(session), terminal::shell_word(&recording));
             // What cannot be removed is empty or cut off, as the note says.
             let _ = fs::remove_file(&recording);
-            terminal::note(format_args!(
-                "the recording {name} was given up; write it with: drive --replay {session} --record {word}"
-            ));
+            let command = format!("drive --replay {session} --record {word}");
+            terminal::note(format_args!("the recording {name} was given up; write it with: {command}"));
         }
     }
 }
 
 impl Saved {
     fn record(&self, is_late: &impl Fn() -> bool) -> anyhow::Result<()> {
-        let step_aside = || {
-            if is_late() {
-                thread::sleep(STEP_ASIDE)
-            }
-        };
-        match &self.minute {
-            Some(minute) => minute.record(&self.recording),
-            None => {
-                let session = SavedSession::load(&self.session)?;
-                replay::play(session, Some(&self.recording), |_, _| step_aside()).map(drop)
-            }
+        if let Some(minute) = &self.minute {
+            return minute.record(&self.recording);
         }
+        let step_aside = || thread::sleep(if is_late() { STEP_ASIDE } else { Duration::ZERO });
+        replay::play(SavedSession::load(&self.session)?, Some(&self.recording), step_aside).map(drop)
     }
 }
 
@@ -202,9 +177,8 @@ fn hand_on(saved: Saved, to: &SyncSender<Saved>, unfinished: &Unfinished) -> Str
     with(unfinished, |all| all.retain(|path| *path != recording));
     // It is empty, and was only to reserve the name.
     let _ = fs::remove_file(recording);
-    format!(
-        "saved the session as {session}, without a recording, because others wait: `--replay` with `--record` writes it"
-    )
+    let hint = "because others wait: `--replay` with `--record` writes it";
+    format!("saved the session as {session}, without a recording, {hint}")
 }
 
 /// Writes a session under the first free name of a folder; returns its path and that of its recording, an empty file.
@@ -230,7 +204,7 @@ fn write_session(folder: &Path, part: &SessionPart) -> io::Result<(PathBuf, Path
 mod tests {
     use std::sync::mpsc::Sender;
 
-    use supple::scenario::session::Writer;
+    use supple::scenario::session::{AgentCache, Input, SceneKind, Setup, Writer};
 
     use super::*;
 
@@ -246,22 +220,20 @@ mod tests {
     fn recordings_that_wait_at_the_end_leave_no_empty_files() {
         let folder = tempfile::tempdir().unwrap();
         let (saver, messages, _go_on) = busy_saver(folder.path());
-        let mut cache = supple::scenario::session::AgentCache::default();
+        let mut cache = AgentCache::default();
         let robots = vec![cache.find("compliant", None).unwrap()];
-        let scene = supple::scenario::session::SceneKind::Flat;
-        let setup = supple::scenario::session::Setup { scene, seed: 0, robots };
+        let setup = Setup { scene: SceneKind::Flat, seed: 0, robots };
         let mut writer = Writer::new(tempfile::tempfile().unwrap());
-        writer.input(0, &supple::scenario::session::Input::Setup(setup), &cache).unwrap();
+        writer.input(0, &Input::Setup(setup), &cache).unwrap();
         for _ in 0..2 {
             let part = writer.part(None, 40, String::new()).unwrap();
-            saver.save(Save { part, minute: None }).unwrap();
+            saver.save(part, None).unwrap();
             assert!(matches!(messages.recv().unwrap(), Message::Notice(text) if text.contains("is being written")));
         }
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 4);
         saver.finish();
-        let mut left: Vec<_> = fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().file_name()).collect();
-        left.sort();
-        assert_eq!(left, ["drive-1.jsonl", "drive-2.jsonl"]);
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2);
+        assert!(["drive-1.jsonl", "drive-2.jsonl"].iter().all(|name| folder.path().join(name).exists()));
     }
 
     #[test]
@@ -274,10 +246,8 @@ mod tests {
             let part = Writer::new(tempfile::tempfile().unwrap()).part(None, 0, String::new()).unwrap();
             (0..20).map(|_| write_session(folder.path(), &part).unwrap()).collect::<Vec<_>>()
         };
-        let [one, other] =
-            thread::scope(|scope| [scope.spawn(save), scope.spawn(save)].map(|saved| saved.join().unwrap()));
-        let sessions: std::collections::BTreeSet<_> =
-            one.into_iter().chain(other).map(|(session, _)| session).collect();
+        let saved = thread::scope(|scope| [scope.spawn(save), scope.spawn(save)].map(|saved| saved.join().unwrap()));
+        let sessions: std::collections::BTreeSet<_> = saved.concat().into_iter().map(|(session, _)| session).collect();
         assert_eq!(sessions.len(), 40);
         assert!(sessions.iter().all(|path| fs::read_to_string(path).unwrap().contains("end")));
         assert!(!sessions.contains(&folder.path().join("drive-3.jsonl")));

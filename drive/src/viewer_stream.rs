@@ -11,7 +11,7 @@ use supple::mujoco::Model;
 use supple::scenario::session::LiveSession;
 use supple::scenario::trace::{Event, Frame};
 use supple::sim::Scene;
-use supple_record::{BLUE, LiveSink, ORANGE, RecordError, Recorder, RobotView, Sink};
+use supple_record::{RecordError, Recorder, RobotView, Sink};
 use tokio::runtime::Handle;
 use tokio::sync::{mpsc, watch};
 
@@ -55,36 +55,15 @@ impl Cast {
         Cast { names, scenes: world.scenes().cloned().collect() }
     }
 
-    /// Opens a recording to a file.
+    /// Opens a recording, or a live one, of which viewers keep only the latest frames.
     ///
     /// # Errors
-    /// A scene does not compile, or the file cannot be written.
-    pub fn record(&self, sink: Sink) -> Result<Recorder, RecordError> {
-        self.with_views(|views| Recorder::new(sink, "drive", views))
-    }
-
-    /// Opens a live recording.
-    ///
-    /// # Errors
-    /// A scene does not compile, or no viewer answers.
-    pub fn show(&self, sink: LiveSink) -> Result<Recorder, RecordError> {
-        self.with_views(|views| Recorder::live(sink, "drive", views))
-    }
-
-    fn with_views<T>(&self, open: impl FnOnce(&[RobotView<'_>]) -> Result<T, RecordError>) -> Result<T, RecordError> {
+    /// A scene does not compile, the file cannot be written, or no viewer answers.
+    pub fn record(&self, sink: Sink, is_live: bool) -> Result<Recorder, RecordError> {
         let models = self.scenes.iter().map(Scene::compile_visual).collect::<supple::mujoco::Result<Vec<Model>>>()?;
-        let tints = if self.names.len() > 1 { vec![Some(BLUE), Some(ORANGE)] } else { vec![None] };
-        let parts = self.names.iter().zip(&self.scenes).zip(models.iter().zip(tints));
-        let views: Vec<RobotView<'_>> = parts
-            .map(|((name, scene), (model, tint))| RobotView {
-                name,
-                model,
-                ground: &scene.ground,
-                tint,
-                estimates: false,
-            })
-            .collect();
-        open(&views)
+        let parts = self.names.iter().zip(&self.scenes).zip(&models);
+        let views = RobotView::several(parts.map(|((name, scene), model)| (name.as_str(), model, scene)));
+        (if is_live { Recorder::live } else { Recorder::new })(sink, "drive", &views)
     }
 }
 
@@ -104,42 +83,28 @@ impl Snapshot {
 
 /// The recording of one viewer, with the newest data it has received.
 struct View {
-    cast: Arc<Cast>,
     recorder: Recorder,
-    frames: Vec<Option<Arc<Frame>>>,
-    beginnings: Vec<u64>,
-    events: Vec<u64>,
+    last: Snapshot,
 }
 
 impl View {
-    fn open(shown: &Snapshot, sink: LiveSink) -> Result<Self, RecordError> {
-        Ok(View {
-            cast: Arc::clone(&shown.cast),
-            recorder: shown.cast.show(sink)?,
-            frames: vec![None; shown.frames.len()],
-            beginnings: shown.beginnings.clone(),
-            events: shown.events.iter().map(|(count, _)| *count).collect(),
-        })
+    fn open(shown: &Snapshot, sink: Sink) -> Result<Self, RecordError> {
+        let last = Snapshot { frames: vec![None; shown.frames.len()], ..shown.clone() };
+        Ok(View { recorder: shown.cast.record(sink, true)?, last })
     }
 
     /// Logs everything newer than the viewer's data.
     fn update(&mut self, shown: &Snapshot) -> Result<(), RecordError> {
-        for robot in 0..shown.frames.len() {
-            let Some(frame) = &shown.frames[robot] else { continue };
-            if self.beginnings[robot] != shown.beginnings[robot] {
-                self.beginnings[robot] = shown.beginnings[robot];
+        let last = std::mem::replace(&mut self.last, shown.clone());
+        for (robot, frame) in shown.frames.iter().enumerate() {
+            let Some(frame) = frame else { continue };
+            if last.beginnings[robot] != shown.beginnings[robot] {
                 self.recorder.begin_again(robot)?;
             }
-            if !self.frames[robot].as_ref().is_some_and(|last| Arc::ptr_eq(last, frame)) {
-                self.recorder.frame(robot, frame)?;
-                self.frames[robot] = Some(Arc::clone(frame));
-            }
-            if let (count, Some(event)) = &shown.events[robot]
-                && self.events[robot] != *count
-            {
-                self.events[robot] = *count;
-                self.recorder.event(robot, event)?;
-            }
+            let is_new = !last.frames[robot].as_ref().is_some_and(|last| Arc::ptr_eq(last, frame));
+            let (count, event) = &shown.events[robot];
+            let event = event.as_ref().filter(|_| last.events[robot].0 != *count);
+            self.recorder.step(robot, is_new.then_some(frame), event.map_or(&[], std::slice::from_ref))?;
         }
         Ok(())
     }
@@ -148,7 +113,7 @@ impl View {
 /// Feeds a viewer until `wait` (for a new snapshot) or `send` (to the viewer) returns false.
 fn feed(
     mut updates: watch::Receiver<Snapshot>,
-    sink: &LiveSink,
+    sink: &Sink,
     wait: impl Fn(&mut watch::Receiver<Snapshot>) -> bool,
     mut send: impl FnMut(&mut Recorder) -> Result<bool, RecordError>,
 ) -> Result<(), RecordError> {
@@ -157,7 +122,7 @@ fn feed(
     while wait(&mut updates) {
         let begun = Instant::now();
         let shown = updates.borrow_and_update().clone();
-        let mut current = match view.take().filter(|view| Arc::ptr_eq(&view.cast, &shown.cast)) {
+        let mut current = match view.take().filter(|view| Arc::ptr_eq(&view.last.cast, &shown.cast)) {
             Some(view) => view,
             None => View::open(&shown, sink.clone())?,
         };
@@ -189,7 +154,7 @@ pub fn to_channel(
             }
         })
     };
-    feed(updates, &LiveSink::Memory, wait, |recorder| {
+    feed(updates, &Sink::Memory, wait, |recorder| {
         let bytes = recorder.take()?;
         Ok(bytes.is_empty() || to.blocking_send(bytes).is_ok())
     })
@@ -200,5 +165,5 @@ pub fn to_channel(
 /// # Errors
 /// No viewer answers, or the connection breaks.
 pub fn to_viewer(updates: watch::Receiver<Snapshot>, runtime: &Handle, url: Option<String>) -> Result<(), RecordError> {
-    feed(updates, &LiveSink::Connect(url), |updates| runtime.block_on(updates.changed()).is_ok(), |_| Ok(true))
+    feed(updates, &Sink::Connect(url), |updates| runtime.block_on(updates.changed()).is_ok(), |_| Ok(true))
 }

@@ -8,20 +8,18 @@ use std::thread;
 use std::time::{Duration, SystemTime};
 
 use supple::policy::shipped;
-use supple::scenario::session::{AgentCache, AgentCacheError};
+use supple::scenario::session::{AgentCache, LiveSession};
 use supple::util::{files, terminal};
 
 use crate::message::{Message, NewPolicy};
+use crate::server::start_thread;
 
 /// Time between two checks.
 const PERIOD: Duration = Duration::from_millis(500);
 
 /// Starts a thread that reads every watched policy file whenever it changes, until the receiver is dropped. With `is_shared`,
 /// people elsewhere may name files: only the terminal then shows what is wrong with one.
-///
-/// # Errors
-/// The thread cannot be started.
-pub fn start(watched: Arc<Mutex<Vec<PathBuf>>>, to: SyncSender<Message>, is_shared: bool) -> std::io::Result<()> {
+pub fn start(watched: Arc<Mutex<Vec<PathBuf>>>, to: SyncSender<Message>, is_shared: bool) -> anyhow::Result<()> {
     let mut seen: HashMap<PathBuf, SystemTime> = HashMap::new();
     let look = move || {
         loop {
@@ -36,7 +34,7 @@ pub fn start(watched: Arc<Mutex<Vec<PathBuf>>>, to: SyncSender<Message>, is_shar
                 }
                 let message = match AgentCache::read(&path.display().to_string()) {
                     Ok((agent, file)) => Message::PolicySaved(Box::new(NewPolicy { path, agent, file })),
-                    Err(error) => Message::Notice(told(&error, is_shared)),
+                    Err(error) => Message::Notice(told(&error.to_string(), "a newer policy", is_shared)),
                 };
                 if to.send(message).is_err() {
                     return;
@@ -44,22 +42,23 @@ pub fn start(watched: Arc<Mutex<Vec<PathBuf>>>, to: SyncSender<Message>, is_shar
             }
         }
     };
-    thread::Builder::new().name("watching runs".to_owned()).spawn(look).map(drop)
+    start_thread("watching runs", look)
 }
 
-/// Returns the notice that pages show for a policy that cannot be read.
-fn told(error: &AgentCacheError, is_shared: bool) -> String {
+/// Returns the notice that pages show for something that cannot be loaded. With `is_shared`, only the terminal shows what is wrong with
+/// it: that may quote any file of this machine.
+pub fn told(error: &str, what: &str, is_shared: bool) -> String {
     if !is_shared {
-        return error.to_string();
+        return error.to_owned();
     }
-    // It may quote any file of this machine.
     terminal::note(error);
-    "a newer policy cannot be loaded: the terminal says why".to_owned()
+    format!("{what} cannot be loaded: the terminal says why")
 }
 
-/// Returns the file of a policy that may change while it is used, if it has one.
-pub fn file_of(policy: &str) -> Option<PathBuf> {
-    shipped::file_of(policy).filter(|path| !files::is_yaml(path))
+/// Returns the file of each robot's policy, if it may change while it is used.
+pub fn files_of(world: &LiveSession) -> Vec<Option<PathBuf>> {
+    let file_of = |policy: &str| shipped::file_of(policy).filter(|path| !files::is_yaml(path));
+    world.setup().robots.iter().map(|seat| file_of(&seat.policy)).collect()
 }
 
 #[cfg(test)]
@@ -76,10 +75,8 @@ mod tests {
         let told = |is_shared| {
             let (to, messages) = sync_channel(1);
             start(Arc::new(Mutex::new(vec![path.clone()])), to, is_shared).unwrap();
-            match messages.recv().unwrap() {
-                Message::Notice(text) => text,
-                message => panic!("{message:?}"),
-            }
+            let Message::Notice(text) = messages.recv().unwrap() else { panic!("it is read") };
+            text
         };
         assert!(told(false).contains("private.safetensors"));
         assert_eq!(told(true), "a newer policy cannot be loaded: the terminal says why");

@@ -7,15 +7,16 @@ use std::net::TcpStream;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use common::{Drive, PATIENCE, replay, text};
+use common::{Drive, PATIENCE, replay, start, text};
 use serde_json::{Value, json};
 use tungstenite::Message;
 
+/// What a replay with the same bits ends with.
+const SAME: &str = "the final state matches the original bit for bit";
+
 #[test]
 fn robots_stop_when_driver_falls_silent_or_leaves() {
-    let folder = tempfile::tempdir().unwrap();
-    let drive = Drive::start(folder.path(), &[]);
-    let mut page = drive.page();
+    let (_folder, drive, mut page) = start(&[]);
     page.ask_for([0.5, 0.0, 0.0], Duration::from_secs(2));
     for robot in [0, 1] {
         let forward = page.number(&format!("/robots/{robot}/reading/velocity/0"));
@@ -24,9 +25,7 @@ fn robots_stop_when_driver_falls_silent_or_leaves() {
     }
     // The page is connected, but silent.
     let silent = Instant::now();
-    page.wait("a command of zero", |state, _| {
-        (state["robots"][0]["reading"]["command"] == json!([0.0, 0.0, 0.0])).then_some(())
-    });
+    page.wait_for("a command of zero", &[("/robots/0/reading/command", json!([0.0, 0.0, 0.0]))]);
     assert!(silent.elapsed() < Duration::from_millis(500), "{:?}", silent.elapsed());
 
     // The page disconnects while it pulls and drives.
@@ -44,9 +43,7 @@ fn robots_stop_when_driver_falls_silent_or_leaves() {
 
 #[test]
 fn push_has_its_size_and_moves_robots_differently() {
-    let folder = tempfile::tempdir().unwrap();
-    let drive = Drive::start(folder.path(), &[]);
-    let mut page = drive.page();
+    let (_folder, _drive, mut page) = start(&[]);
     page.wait("the robots to stand", |state, _| (state["tick"].as_u64()? > 240).then_some(()));
     page.send(&json!({ "push": { "size": [0.0, 0.8], "unit": "m/s" } }));
     page.wait("the push", |state, _| state["robots"][0]["reading"]["push"]["carried_m"].as_f64().filter(|m| *m > 0.05));
@@ -69,25 +66,23 @@ fn push_has_its_size_and_moves_robots_differently() {
 
 #[test]
 fn speed_scene_and_robots_change_while_running() {
-    let folder = tempfile::tempdir().unwrap();
-    let drive = Drive::start(folder.path(), &["--policy", "compliant", "--seed", "3"]);
-    let mut page = drive.page();
+    let (_folder, _drive, mut page) = start(&["--policy", "compliant", "--seed", "3"]);
     let ticks = |page: &mut common::Page, time: Duration| {
         let start = (Instant::now(), page.number("/tick"));
         page.wait("time to pass", |_, _| (start.0.elapsed() > time).then_some(()));
         (page.number("/tick") - start.1) / start.0.elapsed().as_secs_f64() / 240.0
     };
-    page.wait("a state", |state, _| state.is_object().then_some(()));
+    page.wait_for("a state", &[]);
     page.send(&json!({ "speed": 0.25 }));
-    page.wait("slow motion", |state, _| (state["speed"] == 0.25).then_some(()));
+    page.wait_for("slow motion", &[("/speed", json!(0.25))]);
     let slow = ticks(&mut page, Duration::from_millis(1500));
     assert!((0.2..0.3).contains(&slow), "{slow}");
     page.send(&json!({ "pause": true }));
-    page.wait("a pause", |state, _| (state["paused"] == true).then_some(()));
+    page.wait_for("a pause", &[("/paused", json!(true))]);
     let tick = page.number("/tick");
     page.send(&json!("reset"));
     page.send(&json!({ "pause": false }));
-    page.wait("time to go on", |state, _| (state["paused"] == false).then_some(()));
+    page.wait_for("time to go on", &[("/paused", json!(false))]);
     assert!(page.number("/tick") - tick <= 8.0, "one step shows the reset");
     page.send(&json!({ "speed": 1.0 }));
 
@@ -109,18 +104,14 @@ fn speed_scene_and_robots_change_while_running() {
 
 #[test]
 fn only_one_page_drives_at_a_time() {
-    let folder = tempfile::tempdir().unwrap();
-    let drive = Drive::start(folder.path(), &["--policy", "compliant"]);
-    let (mut first, mut second) = (drive.page(), drive.page());
-    let me = first.me;
-    first.wait("the first to drive", |state, _| (state["driver"] == me).then_some(()));
+    let (_folder, drive, mut first) = start(&["--policy", "compliant"]);
+    let mut second = drive.page();
+    first.wait_for("the first to drive", &[("/driver", json!(first.me))]);
     second.send(&json!({ "scene": "box" }));
     second.send(&json!({ "command": [0.5, 0.0, 0.0] }));
     first.ask_for([0.0, 0.0, 0.3], Duration::from_millis(500));
-    assert_eq!(
-        (&first.state["scene"], &first.state["robots"][0]["reading"]["command"]),
-        (&json!("flat"), &json!([0.0, 0.0, 0.3]))
-    );
+    assert_eq!(first.state["scene"], "flat");
+    assert_eq!(first.state["robots"][0]["reading"]["command"], json!([0.0, 0.0, 0.3]));
     second.send(&json!("drive"));
     second.ask_for([0.2, 0.0, 0.0], Duration::from_millis(500));
     assert_eq!(second.state["driver"], second.me);
@@ -133,14 +124,15 @@ fn wrong_origin_token_or_host_is_refused() {
     let drive = Drive::start(folder.path(), &["--policy", "compliant"]);
     let own = format!("http://{}", drive.host);
     let port = drive.host.rsplit_once(':').unwrap().1;
+    let localhost = format!("http://localhost:{port}");
     for path in ["/control", "/view"] {
         let refused = |origin: Option<&str>, token: &str| drive.socket(path, origin, token).err();
-        assert_eq!(refused(Some(&own), &"0".repeat(32)), Some(403));
-        assert_eq!(refused(Some(&own), ""), Some(403));
-        assert_eq!(refused(Some("http://evil.example"), &drive.token), Some(403));
-        assert_eq!(refused(Some("null"), &drive.token), Some(403));
-        assert_eq!(refused(Some(&format!("http://localhost:{port}")), &drive.token), Some(403));
-        assert_eq!(refused(None, &drive.token), Some(403));
+        for token in [&"0".repeat(32), ""] {
+            assert_eq!(refused(Some(&own), token), Some(403));
+        }
+        for origin in [Some("http://evil.example"), Some("null"), Some(&localhost), None] {
+            assert_eq!(refused(origin, &drive.token), Some(403), "{origin:?}");
+        }
         assert_eq!(refused(Some(&own), &drive.token), None);
     }
     // DNS rebinding: a foreign name that resolves to this machine.
@@ -155,11 +147,9 @@ fn wrong_origin_token_or_host_is_refused() {
 
 #[test]
 fn hostile_connections_do_not_disturb_robots() {
-    let folder = tempfile::tempdir().unwrap();
-    let drive = Drive::start(folder.path(), &["--policy", "compliant"]);
-    let mut page = drive.page();
-    page.wait("a state", |state, _| state.is_object().then_some(()));
-    let (start, tick) = (Instant::now(), page.number("/tick"));
+    let (_folder, drive, mut page) = start(&["--policy", "compliant"]);
+    page.wait_for("a state", &[]);
+    let (begun, tick) = (Instant::now(), page.number("/tick"));
 
     // Half-open connections, a cut-off request, and a head that never ends.
     let mut open: Vec<TcpStream> = (0..30).map(|_| TcpStream::connect(&drive.host).unwrap()).collect();
@@ -168,9 +158,8 @@ fn hostile_connections_do_not_disturb_robots() {
     let _ = open[1].write_all(&endless);
     let _ = open[2].write_all(&[0xff; 5000]);
 
-    let own = format!("http://{}", drive.host);
     let closes_on = |message: Message| {
-        let mut socket = drive.socket("/control", Some(&own), &drive.token).unwrap();
+        let mut socket = drive.open("/control");
         // The server may close the connection while we are still sending.
         let _ = socket.send(message);
         let start = Instant::now();
@@ -184,31 +173,29 @@ fn hostile_connections_do_not_disturb_robots() {
     closes_on(Message::binary(vec![0; 100]));
     closes_on(Message::text("[".repeat(1 << 20)));
     // Too many messages.
-    let mut flood = drive.socket("/control", Some(&own), &drive.token).unwrap();
+    let mut flood = drive.open("/control");
     let start_of_flood = Instant::now();
     while flood.send(Message::text(r#"{"command":[0,0,0]}"#)).is_ok() {
         assert!(start_of_flood.elapsed() < PATIENCE);
     }
     // A viewer that reads nothing.
-    let deaf = drive.socket("/view", Some(&own), &drive.token).unwrap();
+    let deaf = drive.open("/view");
 
     page.ask_for([0.3, 0.0, 0.0], Duration::from_secs(3));
-    let rate = (page.number("/tick") - tick) / 240.0 / start.elapsed().as_secs_f64();
+    let rate = (page.number("/tick") - tick) / 240.0 / begun.elapsed().as_secs_f64();
     assert!((0.9..1.05).contains(&rate), "{rate}");
     assert_eq!(page.state["robots"][0]["reading"]["command"], json!([0.3, 0.0, 0.0]));
     // A silent connection is closed.
     open[3].set_read_timeout(Some(PATIENCE)).unwrap();
     let mut answer = Vec::new();
     let _ = open[3].read_to_end(&mut answer);
-    assert!(start.elapsed() < PATIENCE);
+    assert!(begun.elapsed() < PATIENCE);
     drop(deaf);
 }
 
 #[test]
 fn saved_session_replays_with_same_bits() {
-    let folder = tempfile::tempdir().unwrap();
-    let drive = Drive::start(folder.path(), &[]);
-    let mut page = drive.page();
+    let (folder, drive, mut page) = start(&[]);
     page.ask_for([0.4, 0.0, 0.2], Duration::from_millis(600));
     page.send(&json!("reset"));
     page.send(&json!({ "push": { "size": [-0.3, 0.5], "unit": "m/s" } }));
@@ -217,7 +204,7 @@ fn saved_session_replays_with_same_bits() {
     page.send(&json!({ "keep": "all" }));
     page.notice("drive-1.jsonl");
     page.send(&json!({ "scene": "box" }));
-    page.wait("the box", |state, _| (state["scene"] == "box").then_some(()));
+    page.wait_for("the box", &[("/scene", json!("box"))]);
     page.ask_for([0.5, 0.0, 0.0], Duration::from_millis(600));
     page.send(&json!({ "keep": "minute" }));
     page.notice("drive-2.jsonl");
@@ -225,9 +212,9 @@ fn saved_session_replays_with_same_bits() {
     page.notice("drive-3.jsonl");
     let recordings = ["drive-1.rrd", "drive-2.rrd", "drive-3.rrd", "drive-3-2.rrd"];
     let written = |name: &str| std::fs::read(folder.path().join(name)).is_ok_and(|bytes| bytes.len() > 10_000);
-    let start = Instant::now();
+    let begun = Instant::now();
     while !recordings.iter().all(|name| written(name)) {
-        assert!(start.elapsed() < PATIENCE);
+        assert!(begun.elapsed() < PATIENCE);
         page.ask_for([0.0; 3], Duration::from_millis(100));
     }
     drop(drive);
@@ -236,32 +223,30 @@ fn saved_session_replays_with_same_bits() {
         let recording = session.replace(".jsonl", "-again.rrd");
         let output = replay(folder.path(), session, &["--record", &recording]);
         assert!(output.status.success(), "{}", text(&output.stderr));
-        assert!(
-            text(&output.stdout).ends_with("the final state matches the original bit for bit"),
-            "{}",
-            text(&output.stdout)
-        );
+        assert!(text(&output.stdout).ends_with(SAME), "{}", text(&output.stdout));
     }
     // The first recording was named, the second one was not.
     let second = folder.path().join("drive-3-again-2.rrd");
     let bytes = std::fs::read(&second).unwrap();
-    let output = replay(folder.path(), "drive-3.jsonl", &["--record", "drive-3-again.rrd"]);
-    assert_eq!(output.status.code(), Some(2));
-    assert!(text(&output.stderr).contains("drive-3-again-2.rrd exists already"), "{}", text(&output.stderr));
-    assert_eq!(std::fs::read(&second).unwrap(), bytes);
     let session = std::fs::read_to_string(folder.path().join("drive-1.jsonl")).unwrap();
     let changed = session.replace("[-0.3,0.5]", "[-0.3,0.5000000000000001]");
     assert_ne!(session, changed);
-    std::fs::write(folder.path().join("changed.jsonl"), changed).unwrap();
-    let output = replay(folder.path(), "changed.jsonl", &[]);
-    assert_eq!(output.status.code(), Some(2));
-    assert!(text(&output.stderr).contains("the final state differs from the original"), "{}", text(&output.stderr));
     let end = session.rfind(r#"{"end""#).unwrap();
-    std::fs::write(folder.path().join("cut.jsonl"), &session[..end + 20]).unwrap();
-    assert!(text(&replay(folder.path(), "cut.jsonl", &[]).stderr).contains("the session was cut off"));
-    std::fs::write(folder.path().join("other.jsonl"), "{\"a\":1}\n").unwrap();
-    let output = replay(folder.path(), "other.jsonl", &[]);
-    assert!(text(&output.stderr).contains("other.jsonl: line 1: it is no session"), "{}", text(&output.stderr));
+    for (name, content) in [("changed", &changed[..]), ("cut", &session[..end + 20]), ("other", "{\"a\":1}\n")] {
+        std::fs::write(folder.path().join(name).with_extension("jsonl"), content).unwrap();
+    }
+    let again: &[&str] = &["--record", "drive-3-again.rrd"];
+    for (session, more, code, words) in [
+        ("drive-3.jsonl", again, 2, "drive-3-again-2.rrd exists already"),
+        ("changed.jsonl", &[], 2, "the final state differs from the original"),
+        ("cut.jsonl", &[], 0, "the session was cut off"),
+        ("other.jsonl", &[], 2, "other.jsonl: line 1: it is no session"),
+    ] {
+        let output = replay(folder.path(), session, more);
+        let told = text(&output.stderr);
+        assert!(output.status.code() == Some(code) && told.contains(words), "{session}: {told}");
+    }
+    assert_eq!(std::fs::read(&second).unwrap(), bytes);
 }
 
 #[test]
@@ -291,22 +276,17 @@ fn newer_policy_of_run_takes_over_while_driving() {
     drop(drive);
     std::fs::remove_dir_all(&run).unwrap();
     let output = replay(folder.path(), "drive-1.jsonl", &[]);
-    assert!(
-        text(&output.stdout).ends_with("the final state matches the original bit for bit"),
-        "{}",
-        text(&output.stderr)
-    );
+    assert!(text(&output.stdout).ends_with(SAME), "{}", text(&output.stderr));
 }
 
 #[test]
 fn viewers_and_changes_leave_no_threads_behind() {
     let folder = tempfile::tempdir().unwrap();
     let drive = Drive::start(folder.path(), &[]);
-    let own = format!("http://{}", drive.host);
     let mut page = drive.page();
     // Reads a viewer's files for a while.
     let view = |page: &mut common::Page, count: usize, request: Option<&Value>| {
-        let mut viewer = drive.socket("/view", Some(&own), &drive.token).unwrap();
+        let mut viewer = drive.open("/view");
         for _ in 0..count {
             if let Some(request) = request {
                 page.send(request);
@@ -367,9 +347,7 @@ fn pipes_and_devices_are_refused_while_robots_walk_on() {
 
 #[test]
 fn session_that_takes_hours_to_start_over_stops_nothing() {
-    let folder = tempfile::tempdir().unwrap();
-    let mut drive = Drive::start(folder.path(), &["--policy", "compliant"]);
-    let mut page = drive.page();
+    let (folder, mut drive, mut page) = start(&["--policy", "compliant"]);
     page.ask_for([0.0; 3], Duration::from_millis(300));
     page.send(&json!({ "keep": "all" }));
     page.notice("drive-1.jsonl");
@@ -378,7 +356,7 @@ fn session_that_takes_hours_to_start_over_stops_nothing() {
 
     let mut drive = Drive::start(folder.path(), &["--replay", "drive-1.jsonl"]);
     let mut page = drive.page();
-    page.wait("a state", |state, _| state.is_object().then_some(()));
+    page.wait_for("a state", &[]);
     // From now on it takes hours to start over.
     let session = std::fs::read_to_string(folder.path().join("drive-1.jsonl")).unwrap();
     let end = session.rfind("{\"end\":{\"tick\":").unwrap();
@@ -388,7 +366,7 @@ fn session_that_takes_hours_to_start_over_stops_nothing() {
     page.send(&json!("reset"));
     for speed in [0.25, 0.5] {
         page.send(&json!({ "speed": speed }));
-        page.wait("another speed", |state, _| (state["speed"] == speed).then_some(()));
+        page.wait_for("another speed", &[("/speed", json!(speed))]);
     }
     drive.signal("INT");
     assert_eq!(drive.ends_within(PATIENCE), Some(0));
@@ -415,9 +393,7 @@ fn idle_connections_keep_no_page_out() {
 
 #[test]
 fn many_saves_are_written_one_after_another() {
-    let folder = tempfile::tempdir().unwrap();
-    let drive = Drive::start(folder.path(), &[]);
-    let mut page = drive.page();
+    let (folder, drive, mut page) = start(&[]);
     page.ask_for([0.3, 0.0, 0.0], Duration::from_secs(2));
     let threads = drive.threads();
     for _ in 0..60 {

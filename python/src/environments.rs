@@ -202,11 +202,8 @@ impl Environments {
     fn reset<'py>(&self, py: Python<'py>, seeds: Option<Vec<u64>>, mask: Option<Vec<bool>>) -> PyResult<Begun<'py>> {
         let (observations, critic, commands) =
             self.with(py, |world| world.reset(seeds.as_deref(), mask.as_deref()).map_err(failed))?;
-        Ok((
-            table(py, observations, self.shared.layout.length())?,
-            self.critic_table(py, critic)?,
-            table(py, commands, 3)?,
-        ))
+        let observations = table(py, observations, self.shared.layout.length())?;
+        Ok((observations, self.critic_table(py, critic)?, table(py, commands, 3)?))
     }
 
     /// Steps every environment once with actions, float32 (n, 12).
@@ -364,18 +361,16 @@ impl Environments {
     /// Runs `work` on the environments without the interpreter's lock.
     fn with<T: Send>(&self, py: Python<'_>, work: impl FnOnce(&mut VecWorld) -> PyResult<T> + Send) -> PyResult<T> {
         if std::process::id() != self.process {
-            return Err(PyRuntimeError::new_err(
-                "these environments belong to the process that this one was forked from, and so do their threads: call \
-                 supple.make_vec after the fork",
-            ));
+            let problem =
+                "these environments belong to the process that this one was forked from, and so do their threads";
+            return Err(PyRuntimeError::new_err(format!("{problem}: call supple.make_vec after the fork")));
         }
         let mut slot = match self.world.try_lock() {
             Ok(slot) => slot,
             Err(TryLockError::Poisoned(slot)) => slot.into_inner(),
             Err(TryLockError::WouldBlock) => {
-                return Err(PyRuntimeError::new_err(
-                    "another thread is at work on these environments: give each its own",
-                ));
+                let problem = "another thread is at work on these environments: give each its own";
+                return Err(PyRuntimeError::new_err(problem));
             }
         };
         let Some(mut world) = slot.take() else {

@@ -8,8 +8,6 @@ mod environments;
 mod evaluation;
 mod failure;
 mod policy;
-#[cfg(feature = "record")]
-mod recording;
 mod scenario;
 mod trace;
 

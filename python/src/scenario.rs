@@ -1,6 +1,6 @@
 //! Scenarios for Python: plays a disturbance of a policy and returns metrics, trace and events.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -35,18 +35,17 @@ pub fn run_scenario<'py>(
     record: Option<PathBuf>,
 ) -> PyResult<(Numbers, Bound<'py, PyDict>, Events, Option<String>)> {
     let scenario = Scenario::named(name, parameters).map_err(refused)?;
-    if let Some(path) = &record {
-        check_recording(path)?;
-    }
+    let recorded = |played: Option<(&Script, &Trace)>| {
+        record.as_ref().map_or(Ok(()), |path| write_recording(path, scenario.name(), policy, played))
+    };
+    recorded(None)?;
     let sensing = sensing(estimated);
     let (script, trace) = apart(py, || {
         let mut script = scenario.script(seed, &policy.agent.config).map_err(unfit)?;
         script.command.compliance =
             policy.agent.resolve_compliance(None, script.command.compliance).map_err(refused)?;
         let trace = play(policy, &script, sensing, seed, record.is_some())?;
-        if let Some(path) = &record {
-            recorded(path, &scenario, policy, &script, &trace)?;
-        }
+        recorded(Some((&script, &trace)))?;
         Ok((script, trace))
     })?;
     let mut metrics = scenario.metrics(&script, &trace);
@@ -82,30 +81,16 @@ fn play(policy: &Policy, script: &Script, sensing: Sensing, seed: u64, with_bodi
     Ok(trace)
 }
 
-#[cfg(feature = "record")]
-fn check_recording(path: &std::path::Path) -> PyResult<()> {
-    supple_record::check_name(path).map_err(refused)
-}
-
-#[cfg(not(feature = "record"))]
-fn check_recording(_: &std::path::Path) -> PyResult<()> {
-    Ok(())
-}
-
-#[cfg(feature = "record")]
-fn recorded(
-    path: &std::path::Path,
-    scenario: &Scenario,
-    policy: &Policy,
-    script: &Script,
-    trace: &Trace,
-) -> PyResult<()> {
-    crate::recording::write(path, scenario.name(), &policy.name, script, trace).map_err(failed)
-}
-
-#[cfg(not(feature = "record"))]
-fn recorded(_: &std::path::Path, _: &Scenario, _: &Policy, _: &Script, _: &Trace) -> PyResult<()> {
-    Err(pyo3::exceptions::PyRuntimeError::new_err("this wheel was built without recordings"))
+/// Writes a recording, if this wheel was built for that; without a playback, only its name is checked.
+#[cfg_attr(not(feature = "record"), allow(unused_variables))]
+fn write_recording(path: &Path, name: &str, policy: &Policy, played: Option<(&Script, &Trace)>) -> PyResult<()> {
+    #[cfg(feature = "record")]
+    return match played {
+        Some((script, trace)) => supple_record::record(path, name, &policy.name, &script.scene, trace).map_err(failed),
+        None => supple_record::check_name(path).map_err(refused),
+    };
+    #[cfg(not(feature = "record"))]
+    played.map_or(Ok(()), |_| Err(pyo3::exceptions::PyRuntimeError::new_err("this wheel was built without recordings")))
 }
 
 /// Converts an error, spelling a parameter as a Python argument (`push_m_s`) instead of a flag (`push-m-s`).

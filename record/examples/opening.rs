@@ -9,7 +9,7 @@ use supple::scenario::Playback;
 use supple::scenario::catalog::Scenario;
 use supple::scenario::trace::Trace;
 use supple::world::{Disturbance, Pull};
-use supple_record::{BLUE, ORANGE, RobotView, Video};
+use supple_record::{RobotView, Video};
 
 /// Width and height of the videos \[px\].
 const SIZE: [usize; 2] = [640, 360];
@@ -44,14 +44,8 @@ fn film(
         models.push(script.scene.compile_visual()?);
         scripts.push(script);
     }
-    let view = |index: usize, tint| RobotView {
-        name: policies[index],
-        model: &models[index],
-        ground: &scripts[index].scene.ground,
-        tint: Some(tint),
-        estimates: false,
-    };
-    video.write(title, &[(view(0, BLUE), &traces[0]), (view(1, ORANGE), &traces[1])], |_, _| {})?;
+    let views = RobotView::several([0, 1].map(|index| (policies[index], &models[index], &scripts[index].scene)));
+    video.write(title, &views.into_iter().zip(&traces).collect::<Vec<_>>(), |_, _| {})?;
     println!("{}: {} kB", path.display(), std::fs::metadata(&path)?.len() / 1000);
     Ok(())
 }

@@ -17,19 +17,14 @@ use rerun::external::re_sdk_types::blueprint::archetypes::{
 };
 use rerun::{AsComponents, EntityPath, RecordingStream, RecordingStreamBuilder};
 
-use super::RecordError;
+use super::Result;
 use super::plots::{Plot, Series, Shown, plots, tabs};
 use super::robot::{camera_path, events_path, robot_path};
 use super::stream::{APPLICATION, TIMELINE};
 use super::style::{BACKGROUND, EYE_DIRECTION, EYE_DISTANCE_M, opaque};
 
 /// Sends the layout for these robots to a recording and activates it.
-pub(super) fn send(
-    recording: &RecordingStream,
-    robots: &[&str],
-    shown: Shown,
-    is_live: bool,
-) -> Result<(), RecordError> {
+pub(super) fn send(recording: &RecordingStream, robots: &[&str], shown: Shown, is_live: bool) -> Result<()> {
     let (store, memory) = RecordingStreamBuilder::new(APPLICATION).enabled(true).blueprint().memory()?;
     let logged = log(&store, robots, shown, is_live);
     let messages = memory.take();
@@ -48,32 +43,27 @@ pub(super) fn send(
 }
 
 /// Logs the layout into its own store.
-fn log(store: &RecordingStream, robots: &[&str], shown: Shown, is_live: bool) -> Result<(), RecordError> {
+fn log(store: &RecordingStream, robots: &[&str], shown: Shown, is_live: bool) -> Result<()> {
     store.set_time_sequence("blueprint", 0);
     let mut layout = Layout { store, shown, count: 0 };
     let root = match robots {
-        robots if is_live => layout.live(robots)?,
+        robots if is_live => layout.live(robots)?.1,
         [robot] => layout.single(robot)?,
         robots => layout.comparison(robots)?,
     };
     store.log("viewport", &ViewportBlueprint::new().with_root_container(root).with_auto_views(false))?;
-    let hidden: &[&str] = if is_live {
-        &["blueprint_panel", "selection_panel", "time_panel"]
-    } else {
-        &["blueprint_panel", "selection_panel"]
-    };
-    for panel in hidden {
-        store.log(*panel, &PanelBlueprint::new().with_state(PanelState::Hidden))?;
+    let hidden = PanelBlueprint::new().with_state(PanelState::Hidden);
+    store.log("blueprint_panel", &hidden)?;
+    store.log("selection_panel", &hidden)?;
+    if is_live {
+        return Ok(store.log("time_panel", &hidden)?);
     }
     let time = TimePanelBlueprint::new()
         .with_state(PanelState::Collapsed)
         .with_timeline(TIMELINE)
         .with_loop_mode(LoopMode::All)
         .with_play_state(PlayState::Playing);
-    if !is_live {
-        store.log("time_panel", &time)?;
-    }
-    Ok(())
+    Ok(store.log("time_panel", &time)?)
 }
 
 /// Path of a view or container, and its share of its parent's space.
@@ -87,7 +77,7 @@ struct Layout<'a> {
 
 impl Layout<'_> {
     /// Adds the layout of one robot: robot and events on the left, plots on the right.
-    fn single(&mut self, robot: &str) -> Result<RootContainer, RecordError> {
+    fn single(&mut self, robot: &str) -> Result<RootContainer> {
         let left = [(self.world(robot)?, 0.84), (self.events(&[robot])?, 0.16)];
         let left = self.container(ContainerKind::Vertical, "Robot", &left)?.0;
         let right = self.plots(&[robot], ContainerKind::Vertical)?;
@@ -95,10 +85,8 @@ impl Layout<'_> {
     }
 
     /// Adds the layout of several robots: side by side, with their plots and events below.
-    fn comparison(&mut self, robots: &[&str]) -> Result<RootContainer, RecordError> {
-        let worlds =
-            robots.iter().map(|robot| Ok((self.world(robot)?, 1.0))).collect::<Result<Vec<_>, RecordError>>()?;
-        let above = self.container(ContainerKind::Horizontal, "Robots", &worlds)?.0;
+    fn comparison(&mut self, robots: &[&str]) -> Result<RootContainer> {
+        let above = self.live(robots)?.0;
         let plots = self.plots(robots, ContainerKind::Horizontal)?;
         let below = [(plots, 0.76), (self.events(robots)?, 0.24)];
         let below = self.container(ContainerKind::Horizontal, "Data", &below)?.0;
@@ -106,14 +94,13 @@ impl Layout<'_> {
     }
 
     /// Adds the layout of a live view: robots side by side, nothing else.
-    fn live(&mut self, robots: &[&str]) -> Result<RootContainer, RecordError> {
-        let worlds =
-            robots.iter().map(|robot| Ok((self.world(robot)?, 1.0))).collect::<Result<Vec<_>, RecordError>>()?;
-        Ok(self.container(ContainerKind::Horizontal, "Robots", &worlds)?.1)
+    fn live(&mut self, robots: &[&str]) -> Result<(String, RootContainer)> {
+        let worlds = robots.iter().map(|robot| Ok((self.world(robot)?, 1.0))).collect::<Result<Vec<_>>>()?;
+        self.container(ContainerKind::Horizontal, "Robots", &worlds)
     }
 
     /// Adds the 3D view of a robot, with a camera that follows it.
-    fn world(&mut self, robot: &str) -> Result<String, RecordError> {
+    fn world(&mut self, robot: &str) -> Result<String> {
         let length = EYE_DIRECTION.iter().map(|x| x * x).sum::<f32>().sqrt();
         let target = [0.0, 0.0, 0.3];
         let position: [f32; 3] = std::array::from_fn(|k| target[k] + EYE_DIRECTION[k] / length * EYE_DISTANCE_M);
@@ -135,7 +122,7 @@ impl Layout<'_> {
     }
 
     /// Adds tabs with all plots; those of a tab are stacked or side by side.
-    fn plots(&mut self, robots: &[&str], arrangement: ContainerKind) -> Result<String, RecordError> {
+    fn plots(&mut self, robots: &[&str], arrangement: ContainerKind) -> Result<String> {
         let mut containers = Vec::new();
         for (tab, title) in tabs(self.shown) {
             let mut items: Vec<Item> = Vec::new();
@@ -156,16 +143,13 @@ impl Layout<'_> {
 
     /// Adds a plot. Colours have the same meaning in all plots of a tab, so only the first one and those with parts
     /// have a legend.
-    fn plot(&mut self, plot: &Plot, robots: &[&str], title: &str, is_first: bool) -> Result<String, RecordError> {
+    fn plot(&mut self, plot: &Plot, robots: &[&str], title: &str, is_first: bool) -> Result<String> {
         let contents: Vec<String> = robots.iter().map(|robot| format!("+ {}", plot.path(robot))).collect();
         let legend = PlotLegend::new()
             .with_corner(Corner2D::LeftTop)
             .with_visible(is_first || matches!(plot.series, Series::Terms));
         let axis = TimeAxis::new().with_link(LinkAxis::LinkToGlobal);
-        let mut values = ScalarAxis::new();
-        if let Some(range) = plot.range {
-            values = values.with_range(range);
-        }
+        let values = plot.range.map_or_else(ScalarAxis::new, |range| ScalarAxis::new().with_range(range));
         let origin = EntityPath::from("plots");
         let properties: [(&str, &dyn AsComponents); 3] =
             [("PlotLegend", &legend), ("TimeAxis", &axis), ("ScalarAxis", &values)];
@@ -173,7 +157,7 @@ impl Layout<'_> {
     }
 
     /// Adds the text log: time, level and text, which begins with the robot's name.
-    fn events(&mut self, robots: &[&str]) -> Result<String, RecordError> {
+    fn events(&mut self, robots: &[&str]) -> Result<String> {
         use datatypes::TextLogColumnKind::{Body, LogLevel};
         let column = |kind| TextLogColumn(datatypes::TextLogColumn { visible: true.into(), kind });
         let time = TimelineColumn(datatypes::TimelineColumn { visible: true.into(), timeline: TIMELINE.into() });
@@ -190,7 +174,7 @@ impl Layout<'_> {
         origin: &EntityPath,
         contents: &[String],
         properties: &[(&str, &dyn AsComponents)],
-    ) -> Result<String, RecordError> {
+    ) -> Result<String> {
         let path = format!("view/{}", text(self.identifier()));
         let view = ViewBlueprint::new(class).with_display_name(title).with_space_origin(origin.to_string());
         self.store.log(path.as_str(), &view)?;
@@ -202,12 +186,7 @@ impl Layout<'_> {
         Ok(path)
     }
 
-    fn container(
-        &mut self,
-        kind: ContainerKind,
-        title: &str,
-        items: &[Item],
-    ) -> Result<(String, RootContainer), RecordError> {
+    fn container(&mut self, kind: ContainerKind, title: &str, items: &[Item]) -> Result<(String, RootContainer)> {
         let identifier = self.identifier();
         let path = format!("container/{}", text(identifier));
         let shares = items.iter().map(|item| item.1);

@@ -8,7 +8,7 @@ their middle against capsules from their first end, quaternions with w first aga
 use rerun::components::HalfSize3D;
 use rerun::{Boxes3D, Capsules3D, Color, Cylinders3D, Ellipsoids3D, EntityPath, FillMode, Points3D, Quaternion};
 
-use super::RecordError;
+use super::Result;
 use super::stream::Stream;
 use super::style::Rgb;
 use supple::mujoco::{Geom, GeomShape, Model, Object};
@@ -21,9 +21,7 @@ const FEWEST_BALLS: usize = 4;
 const TINT_SHARE: f32 = 0.5;
 
 /// The moving parts of a model and their names.
-#[derive(Debug)]
 pub(super) struct Parts {
-    /// Body id of the trunk.
     pub(super) trunk: usize,
     /// Ids and paths of the bodies that have their own entity.
     pub(super) bodies: Vec<(usize, EntityPath)>,
@@ -32,12 +30,7 @@ pub(super) struct Parts {
 }
 
 /// Logs the visible geometries of a model below `root`, except its ground; returns the moving parts.
-pub(super) fn log_model(
-    stream: &Stream,
-    root: &EntityPath,
-    model: &Model,
-    tint: Option<Rgb>,
-) -> Result<Parts, RecordError> {
+pub(super) fn log_model(stream: &Stream, root: &EntityPath, model: &Model, tint: Option<Rgb>) -> Result<Parts> {
     let trunk = model.id(Object::Body, "trunk")?;
     let geoms: Vec<Geom> = (0..model.count(Object::Geom)).map(|id| model.geom(id)).collect();
     let count = model.count(Object::Body);
@@ -88,12 +81,14 @@ pub(super) fn balls_path(root: &EntityPath) -> EntityPath {
 }
 
 /// Returns true if the scene has more than the robot and the ground.
-pub(super) fn has_obstacles(model: &Model) -> Result<bool, RecordError> {
+pub(super) fn has_obstacles(model: &Model) -> Result<bool> {
     let trunk = model.id(Object::Body, "trunk")?;
-    let is_obstacle = |geom: Geom| {
-        !matches!(geom.shape, GeomShape::Plane | GeomShape::HeightField(_)) && !model.is_below(geom.body, trunk)
-    };
-    Ok((0..model.count(Object::Geom)).any(|id| is_obstacle(model.geom(id))))
+    let mut geoms = (0..model.count(Object::Geom)).map(|id| model.geom(id));
+    Ok(geoms.any(|geom| !is_ground(&geom) && !model.is_below(geom.body, trunk)))
+}
+
+fn is_ground(geom: &Geom) -> bool {
+    matches!(geom.shape, GeomShape::Plane | GeomShape::HeightField(_))
 }
 
 /// Returns the path of an entity below another one; its name may contain any character.
@@ -104,7 +99,7 @@ pub(super) fn child(parent: &EntityPath, name: &str) -> EntityPath {
 /// Returns the drawn geometries of a body: its visual ones, or the collision geometries if it has no visual ones.
 fn looks_of(body: usize, geoms: &[Geom]) -> Vec<&Geom> {
     let solid = |geom: &&Geom| {
-        let flat = matches!(geom.shape, GeomShape::Plane | GeomShape::HeightField(_) | GeomShape::Mesh(_));
+        let flat = is_ground(geom) || matches!(geom.shape, GeomShape::Mesh(_));
         geom.body == body && !flat && geom.rgba[3] > 0.0
     };
     let (shown, hidden): (Vec<&Geom>, Vec<&Geom>) =
@@ -118,7 +113,7 @@ pub(super) fn colours(model: &Model, tint: Option<Rgb>) -> supple::mujoco::Resul
     let trunk = model.id(Object::Body, "trunk")?;
     let geoms: Vec<Geom> = (0..model.count(Object::Geom)).map(|id| model.geom(id)).collect();
     let rgba = |geom: &Geom| {
-        if matches!(geom.shape, GeomShape::Plane | GeomShape::HeightField(_)) {
+        if is_ground(geom) {
             return Some(geom.rgba);
         }
         looks_of(geom.body, &geoms).into_iter().find(|drawn| std::ptr::eq(*drawn, geom))?;
@@ -130,13 +125,10 @@ pub(super) fn colours(model: &Model, tint: Option<Rgb>) -> supple::mujoco::Resul
 
 /// Returns the drawn colour: light parts take on some of the tint, dark parts keep their colour.
 fn colour([red, green, blue, alpha]: [f32; 4], tint: Option<Rgb>) -> Color {
-    let lightness = red.max(green).max(blue);
-    let share = if lightness > 0.6 { TINT_SHARE } else { 0.0 };
+    let share = if red.max(green).max(blue) > 0.6 { TINT_SHARE } else { 0.0 };
     let mixed = |own: f32, tint: u8| own + share * (f32::from(tint) / 255.0 * 1.1 - own);
-    let [red, green, blue] = match tint {
-        Some(tint) => [mixed(red, tint[0]), mixed(green, tint[1]), mixed(blue, tint[2])],
-        None => [red, green, blue],
-    };
+    let tinted = tint.map(|tint| [mixed(red, tint[0]), mixed(green, tint[1]), mixed(blue, tint[2])]);
+    let [red, green, blue] = tinted.unwrap_or([red, green, blue]);
     let byte = |value: f32| (value.clamp(0.0, 1.0) * 255.0).round() as u8;
     Color::from_unmultiplied_rgba(byte(red), byte(green), byte(blue), byte(alpha))
 }
@@ -166,33 +158,26 @@ impl Solid {
 }
 
 /// Logs the geometries of a body, one batch for each kind.
-fn log_solids(stream: &Stream, path: &EntityPath, solids: &[Solid]) -> Result<(), RecordError> {
+fn log_solids(stream: &Stream, path: &EntityPath, solids: &[Solid]) -> Result<()> {
     let half_sizes = |batch: &[&Solid]| batch.iter().map(|solid| HalfSize3D::from(solid.size)).collect::<Vec<_>>();
     let lengths = |batch: &[&Solid]| batch.iter().map(|solid| 2.0 * solid.size[1]).collect::<Vec<f32>>();
     let radii = |batch: &[&Solid]| batch.iter().map(|solid| solid.size[0]).collect::<Vec<f32>>();
     macro_rules! log {
-        ($shape:pat, $with_positions:ident, |$batch:ident| $archetype:expr) => {
-            let $batch: Vec<&Solid> = solids.iter().filter(|solid| matches!(solid.shape, $shape)).collect();
-            if !$batch.is_empty() {
-                let archetype = $archetype.$with_positions($batch.iter().map(|solid| solid.position));
-                let archetype = archetype.with_quaternions($batch.iter().map(|solid| solid.quaternion));
-                let archetype = archetype.with_colors($batch.iter().map(|solid| solid.colour));
+        ($shape:pat, $with_positions:ident, $Archetype:ident::$from:ident($($of:ident),*)) => {
+            let batch: Vec<&Solid> = solids.iter().filter(|solid| matches!(solid.shape, $shape)).collect();
+            if !batch.is_empty() {
+                let archetype = $Archetype::$from($($of(&batch)),*);
+                let archetype = archetype.$with_positions(batch.iter().map(|solid| solid.position));
+                let archetype = archetype.with_quaternions(batch.iter().map(|solid| solid.quaternion));
+                let archetype = archetype.with_colors(batch.iter().map(|solid| solid.colour));
                 stream.log_static(path, &archetype.with_fill_mode(FillMode::Solid))?;
             }
         };
     }
-    log!(GeomShape::Box, with_centers, |batch| Boxes3D::from_half_sizes(half_sizes(&batch)));
-    log!(GeomShape::Capsule, with_translations, |batch| Capsules3D::from_lengths_and_radii(
-        lengths(&batch),
-        radii(&batch)
-    ));
-    log!(GeomShape::Cylinder, with_centers, |batch| Cylinders3D::from_lengths_and_radii(
-        lengths(&batch),
-        radii(&batch)
-    ));
-    log!(GeomShape::Sphere | GeomShape::Ellipsoid, with_centers, |batch| Ellipsoids3D::from_half_sizes(half_sizes(
-        &batch
-    )));
+    log!(GeomShape::Box, with_centers, Boxes3D::from_half_sizes(half_sizes));
+    log!(GeomShape::Capsule, with_translations, Capsules3D::from_lengths_and_radii(lengths, radii));
+    log!(GeomShape::Cylinder, with_centers, Cylinders3D::from_lengths_and_radii(lengths, radii));
+    log!(GeomShape::Sphere | GeomShape::Ellipsoid, with_centers, Ellipsoids3D::from_half_sizes(half_sizes));
     Ok(())
 }
 

@@ -8,10 +8,10 @@ where they are slippery and brown where they are not.
 
 use rerun::{EntityPath, Mesh3D};
 
-use super::RecordError;
+use super::Result;
 use super::geometry::{child, scene_path};
 use super::stream::Stream;
-use super::style::{BACKGROUND, Rgb};
+use super::style::{BACKGROUND, Rgb, opaque};
 use supple::mujoco::{Geom, GeomShape, Model, Object};
 use supple::sim::{Ground, Patches};
 
@@ -34,7 +34,6 @@ const GRIPPY: Rgb = [122, 104, 70];
 const FRICTION_SHARE: f32 = 0.55;
 
 /// A chequered patch of ground that follows the robot.
-#[derive(Debug)]
 pub(super) struct Patch {
     path: EntityPath,
     /// Position of the patch's middle, in periods of the pattern; `None` before it has been logged.
@@ -42,12 +41,7 @@ pub(super) struct Patch {
 }
 
 /// Logs every plane and height field of the world; returns the patches of the planes.
-pub(super) fn log_grounds(
-    stream: &Stream,
-    root: &EntityPath,
-    model: &Model,
-    ground: &Ground,
-) -> Result<Vec<Patch>, RecordError> {
+pub(super) fn log_grounds(stream: &Stream, root: &EntityPath, model: &Model, ground: &Ground) -> Result<Vec<Patch>> {
     let mut patches = Vec::new();
     for geom in (0..model.count(Object::Geom)).map(|id| model.geom(id)) {
         let name = if geom.name.is_empty() { "ground" } else { &geom.name };
@@ -66,7 +60,7 @@ pub(super) fn log_grounds(
 
 impl Patch {
     /// Moves the patch so that it stays under the robot.
-    pub(super) fn follow(&mut self, stream: &Stream, [x, y, _]: [f32; 3]) -> Result<(), RecordError> {
+    pub(super) fn follow(&mut self, stream: &Stream, [x, y, _]: [f32; 3]) -> Result<()> {
         let period = 2.0 * SQUARE_M;
         let cell = [x, y].map(|value| (value / period).round() as i32);
         if self.cell == Some(cell) {
@@ -88,7 +82,7 @@ fn patch_mesh(height: f32) -> Mesh3D {
             let (x, y) = ((column + dx) as f32 * SQUARE_M, (row + dy) as f32 * SQUARE_M);
             let fade = ((x.hypot(y) - FADE_M[0]) / (FADE_M[1] - FADE_M[0])).clamp(0.0, 1.0);
             positions.push([x, y, height]);
-            colours.push(rgba(mix(own, BACKGROUND, fade * fade * (3.0 - 2.0 * fade))));
+            colours.push(opaque(mix(own, BACKGROUND, fade * fade * (3.0 - 2.0 * fade))));
         }
         triangles.extend([[first, first + 1, first + 2], [first, first + 2, first + 3]]);
     }
@@ -124,11 +118,9 @@ fn field_mesh(model: &Model, geom: &Geom, id: usize, patches: Option<&Patches>) 
         normals.push([-slope_x, -slope_y, 1.0].map(|value| (value / length) as f32));
         let square = [local[0], local[1]].map(|value| (value / f64::from(SQUARE_M)).floor() as i64);
         let shade = mix(HEIGHT_COLOURS[0], HEIGHT_COLOURS[1], elevations[row * columns + column]);
-        let shade = match friction(geom.position[0] + local[0], geom.position[1] + local[1]) {
-            Some(grip) => mix(shade, mix(SLIPPERY, GRIPPY, grip), FRICTION_SHARE),
-            None => shade,
-        };
-        colours.push(rgba(if (square[0] + square[1]).rem_euclid(2) == 0 { shade } else { mix(shade, [0; 3], 0.14) }));
+        let grip = friction(geom.position[0] + local[0], geom.position[1] + local[1]);
+        let shade = grip.map_or(shade, |grip| mix(shade, mix(SLIPPERY, GRIPPY, grip), FRICTION_SHARE));
+        colours.push(opaque(if (square[0] + square[1]).rem_euclid(2) == 0 { shade } else { mix(shade, [0; 3], 0.14) }));
     }
     let width = kept_columns.len() as u32;
     let mut triangles = Vec::new();
@@ -147,8 +139,4 @@ fn range(values: &[f64]) -> [f64; 2] {
 
 fn mix(from: Rgb, to: Rgb, share: f32) -> Rgb {
     std::array::from_fn(|k| (f32::from(from[k]) + share * (f32::from(to[k]) - f32::from(from[k]))).round() as u8)
-}
-
-fn rgba([red, green, blue]: Rgb) -> rerun::Color {
-    rerun::Color::from_rgb(red, green, blue)
 }

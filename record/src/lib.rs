@@ -19,89 +19,43 @@ mod tests;
 #[cfg(feature = "video")]
 mod video;
 
-pub use stream::{LiveSink, Sink, check_name, page_url};
+pub use stream::{Sink, check_name, page_url};
 pub use style::{BLUE, ORANGE, Rgb};
 #[cfg(feature = "video")]
 pub use video::{FRAME_RATE, Video, VideoError};
 
-use std::path::PathBuf;
+use std::path::Path;
 
 use plots::Shown;
 use robot::Robot;
 use stream::Stream;
 use supple::mujoco::{self, Model};
 use supple::scenario::trace::{Event, Frame, Trace};
-use supple::sim::Ground;
+use supple::sim::{Ground, Scene};
+use supple::util::files::FileError;
 
 /// The reason why a recording is missing or incomplete.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordError {
-    /// The file cannot be created.
-    #[error("cannot create the recording {}: {source}", path.display())]
-    Create {
-        /// Path of the file.
-        path: PathBuf,
-        /// Reason given by the operating system.
-        source: std::io::Error,
-    },
-    /// The name of the file has another ending than `.rrd`.
-    #[error(
-        "cannot create the recording {}: it is for the rerun viewer (no video, no table) and its name ends with .rrd; name it {}",
-        path.display(),
-        path.with_extension("rrd").display()
-    )]
-    Ending {
-        /// Path of the file.
-        path: PathBuf,
-    },
-    /// No viewer answers at the URL.
-    #[error("no rerun viewer answers at {url}: {reason}; start one with `rerun`, or record to a file")]
-    Viewer {
-        /// The URL of the viewer.
-        url: String,
-        /// Reason given by rerun.
-        reason: String,
-    },
-    /// A port cannot be opened: it is in use, or not permitted.
-    #[error("cannot serve the viewer on port {port}: {reason}; choose another one, and have the next one free too")]
-    Serve {
-        /// The port that cannot be opened.
-        port: u16,
-        /// Reason given by the operating system.
-        reason: String,
-    },
-    /// The recording cannot be written: the disk is full, or the viewer has disconnected.
-    #[error("the recording {target} is incomplete: {reason}")]
-    Write {
-        /// Path of the file or URL of the viewer.
-        target: String,
-        /// Reason given by rerun or the operating system.
-        reason: String,
-    },
-    /// The recording has failed before, and cannot continue.
-    #[error("the recording {target} has failed before and takes no more data")]
-    Closed {
-        /// Path of the file or URL of the viewer.
-        target: String,
-    },
-    /// The frame belongs to another scene: its number of bodies differs.
+    /// The file cannot be created, or its name is not that of a recording.
+    #[error(transparent)]
+    Create(#[from] FileError),
+    /// No viewer answers at this URL, for this reason.
+    #[error("no rerun viewer answers at {0}: {1}; start one with `rerun`, or record to a file")]
+    Viewer(String, String),
+    /// This port cannot be opened, for this reason.
+    #[error("cannot serve the viewer on port {0}: {1}; choose another one, and have the next one free too")]
+    Serve(u16, String),
+    /// The recording in this file or viewer cannot be written, for this reason: the disk is full, the viewer has disconnected.
+    #[error("the recording {0} is incomplete: {1}")]
+    Write(String, String),
+    /// The frame of this robot belongs to another scene: it has other bodies than the model.
     #[error("a frame of {robot} has {found} bodies, its model {expected}; record with the scene's own visual model")]
-    Bodies {
-        /// Name of the robot.
-        robot: String,
-        /// Number of bodies in the robot's model.
-        expected: usize,
-        /// Number of bodies in the frame.
-        found: usize,
-    },
-    /// There is no robot of this index.
-    #[error("there is no robot {index} in this recording of {count}")]
-    Robot {
-        /// The index that was given.
-        index: usize,
-        /// Number of robots.
-        count: usize,
-    },
+    #[allow(missing_docs)] // the message says them
+    Bodies { robot: String, expected: usize, found: usize },
+    /// There is no robot of this index among so many.
+    #[error("there is no robot {0} in this recording of {1}")]
+    Robot(usize, usize),
     /// The model lacks a part of the robot.
     #[error(transparent)]
     Model(#[from] mujoco::Error),
@@ -112,6 +66,8 @@ pub enum RecordError {
     #[error("rerun: {0}")]
     Rerun(#[from] rerun::RecordingStreamError),
 }
+
+type Result<T, E = RecordError> = std::result::Result<T, E>;
 
 /// A robot to be recorded, and how it is drawn.
 #[derive(Debug, Clone, Copy)]
@@ -129,8 +85,37 @@ pub struct RobotView<'a> {
     pub estimates: bool,
 }
 
+impl<'a> RobotView<'a> {
+    /// Views a robot in its own colours and without estimates.
+    pub fn new(name: &'a str, model: &'a Model, scene: &'a Scene) -> Self {
+        RobotView { name, model, ground: &scene.ground, tint: None, estimates: false }
+    }
+
+    /// Views several robots by their names, models and scenes: in blue and orange if there are two.
+    pub fn several(robots: impl IntoIterator<Item = (&'a str, &'a Model, &'a Scene)>) -> Vec<Self> {
+        let mut views: Vec<Self> =
+            robots.into_iter().map(|(name, model, scene)| Self::new(name, model, scene)).collect();
+        if let [first, second, ..] = &mut views[..] {
+            (first.tint, second.tint) = (Some(BLUE), Some(ORANGE));
+        }
+        views
+    }
+}
+
+/// Records a finished playback, which has its bodies, in a file.
+///
+/// # Errors
+/// The file cannot be written, or the model has no trunk.
+pub fn record(path: &Path, title: &str, name: &str, scene: &Scene, trace: &Trace) -> Result<()> {
+    let model = scene.compile_visual()?;
+    let estimates = trace.frames.iter().any(|frame| frame.sensed.is_some());
+    let view = RobotView { estimates, ..RobotView::new(name, &model, scene) };
+    let mut recorder = Recorder::new(Sink::File(path.to_owned()), title, &[view])?;
+    recorder.trace(0, trace)?;
+    recorder.finish()
+}
+
 /// A recording in progress: logs the frames and events of robots.
-#[derive(Debug)]
 pub struct Recorder {
     stream: Stream,
     robots: Vec<Robot>,
@@ -141,8 +126,8 @@ impl Recorder {
     ///
     /// # Errors
     /// The file cannot be created, no viewer answers, or a model has no trunk.
-    pub fn new(sink: Sink, title: &str, robots: &[RobotView<'_>]) -> Result<Self, RecordError> {
-        Self::on(Stream::open(sink, title)?, robots)
+    pub fn new(sink: Sink, title: &str, robots: &[RobotView<'_>]) -> Result<Self> {
+        Self::on(Stream::open(sink, title, false)?, robots)
     }
 
     /// Opens a live view, which keeps only the latest value of each entity: no plots, no events, no time.
@@ -150,60 +135,65 @@ impl Recorder {
     ///
     /// # Errors
     /// No viewer answers, or a model has no trunk.
-    pub fn live(sink: LiveSink, title: &str, robots: &[RobotView<'_>]) -> Result<Self, RecordError> {
-        Self::on(Stream::open_live(sink, title)?, robots)
+    pub fn live(sink: Sink, title: &str, robots: &[RobotView<'_>]) -> Result<Self> {
+        Self::on(Stream::open(sink, title, true)?, robots)
     }
 
-    fn on(stream: Stream, robots: &[RobotView<'_>]) -> Result<Self, RecordError> {
+    fn on(stream: Stream, robots: &[RobotView<'_>]) -> Result<Self> {
         let names: Vec<&str> = robots.iter().map(|robot| robot.name).collect();
-        let obstacles =
-            robots.iter().map(|robot| geometry::has_obstacles(robot.model)).collect::<Result<Vec<_>, _>>()?;
-        let estimates = robots.iter().any(|robot| robot.estimates);
-        let shown = Shown { obstacles: obstacles.contains(&true), estimates };
-        blueprint::send(stream.recording()?, &names, shown, stream.is_live())?;
+        let mut shown = Shown { obstacles: false, estimates: robots.iter().any(|robot| robot.estimates) };
+        for robot in robots {
+            shown.obstacles |= geometry::has_obstacles(robot.model)?;
+        }
+        blueprint::send(stream.recording()?, &names, shown, stream.is_live)?;
         let robots = robots.iter().enumerate();
-        let robots = robots.map(|(index, view)| Robot::new(&stream, view, index == 0, shown));
-        let robots = robots.collect::<Result<_, _>>()?;
+        let robots =
+            robots.map(|(index, view)| Robot::new(&stream, view, index == 0, shown)).collect::<Result<_, _>>()?;
         Ok(Recorder { stream, robots })
     }
 
-    /// Adds a frame of a robot, given by its index in the robots of [`Recorder::new`].
-    ///
-    /// # Errors
-    /// The frame does not fit the robot's model, or the recording has failed: the disk is full, or the viewer has
-    /// disconnected.
-    pub fn frame(&mut self, robot: usize, frame: &Frame) -> Result<(), RecordError> {
+    fn robot(&mut self, index: usize) -> Result<(&mut Robot, &Stream)> {
         let count = self.robots.len();
-        let robot = self.robots.get_mut(robot).ok_or(RecordError::Robot { index: robot, count })?;
-        robot.frame(&self.stream, frame)?;
+        let robot = self.robots.get_mut(index).ok_or(RecordError::Robot(index, count))?;
+        Ok((robot, &self.stream))
+    }
+
+    fn frame(&mut self, robot: usize, frame: &Frame) -> Result<()> {
+        let (robot, stream) = self.robot(robot)?;
+        robot.frame(stream, frame)?;
         self.stream.end_frame()
     }
 
-    /// Adds an event of a robot, after the frame that it belongs to.
+    fn event(&mut self, robot: usize, event: &Event) -> Result<()> {
+        let (robot, stream) = self.robot(robot)?;
+        robot.event(stream, event)
+    }
+
+    /// Adds what a step has brought of a robot, given by its index in the robots of [`Recorder::new`]: a frame, if there is one, and events
+    /// that belong to it.
     ///
     /// # Errors
-    /// There is no such robot, or the recording has failed.
-    pub fn event(&mut self, robot: usize, event: &Event) -> Result<(), RecordError> {
-        let count = self.robots.len();
-        let robot = self.robots.get_mut(robot).ok_or(RecordError::Robot { index: robot, count })?;
-        robot.event(&self.stream, event)
+    /// There is no such robot, the frame does not fit its model, or the recording has failed: the disk is full, or the viewer has
+    /// disconnected.
+    pub fn step(&mut self, robot: usize, frame: Option<&Frame>, events: &[Event]) -> Result<()> {
+        frame.map_or(Ok(()), |frame| self.frame(robot, frame))?;
+        events.iter().try_for_each(|event| self.event(robot, event))
     }
 
     /// Removes a robot's labels and trails, after it was placed at its start or on its feet.
     ///
     /// # Errors
     /// There is no such robot, or the recording has failed.
-    pub fn begin_again(&mut self, robot: usize) -> Result<(), RecordError> {
-        let count = self.robots.len();
-        let robot = self.robots.get_mut(robot).ok_or(RecordError::Robot { index: robot, count })?;
-        robot.begin_again(&self.stream)
+    pub fn begin_again(&mut self, robot: usize) -> Result<()> {
+        let (robot, stream) = self.robot(robot)?;
+        robot.begin_again(stream)
     }
 
     /// Takes the data logged in memory since the last call, as the bytes of a complete `.rrd` file for a viewer.
     ///
     /// # Errors
     /// rerun cannot encode the data.
-    pub fn take(&mut self) -> Result<Vec<u8>, RecordError> {
+    pub fn take(&mut self) -> Result<Vec<u8>> {
         self.stream.take()
     }
 
@@ -212,7 +202,7 @@ impl Recorder {
     /// # Errors
     /// A frame does not fit the robot's model, or the recording has failed: the disk is full, or the viewer has
     /// disconnected.
-    pub fn trace(&mut self, robot: usize, trace: &Trace) -> Result<(), RecordError> {
+    pub fn trace(&mut self, robot: usize, trace: &Trace) -> Result<()> {
         let mut events = trace.events.iter().peekable();
         for (index, frame) in trace.frames.iter().enumerate() {
             self.frame(robot, frame)?;
@@ -229,7 +219,7 @@ impl Recorder {
     ///
     /// # Errors
     /// The disk is full, or the viewer has disconnected: the recording is incomplete.
-    pub fn finish(self) -> Result<(), RecordError> {
+    pub fn finish(self) -> Result<()> {
         self.stream.finish()
     }
 }

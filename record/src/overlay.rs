@@ -4,11 +4,13 @@ Shadows are straight below trunk and feet and show their height. The trunk's tra
 feet are in the air; both are short enough to be logged completely each time.
 */
 
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 
-use rerun::{Arrows3D, Color, Ellipsoids3D, EntityPath, FillMode, LineStrips3D, Points3D, Quaternion, Radius};
+use rerun::{
+    Arrows3D, AsComponents, Color, Ellipsoids3D, EntityPath, FillMode, LineStrips3D, Points3D, Quaternion, Radius,
+};
 
-use super::RecordError;
+use super::Result;
 use super::geometry::child;
 use super::marks::{self, Arrow};
 use super::stream::Stream;
@@ -26,11 +28,9 @@ const ABOVE_GROUND_M: f32 = 0.003;
 const LABEL_HEIGHT_M: f32 = 0.28;
 
 /// The marks that are drawn, and the times at which they end.
-#[derive(Debug)]
 pub(super) struct Overlay {
     root: EntityPath,
     ground: Ground,
-    /// Colour of the robot.
     colour: Rgb,
     trunk: [f32; 3],
     trunk_trail: VecDeque<[f32; 3]>,
@@ -39,9 +39,8 @@ pub(super) struct Overlay {
     next_foot_trail_s: f64,
     /// End of the push's arrow \[s\] and velocity of the push, world frame [m/s].
     push: Option<(f64, [f64; 3])>,
-    is_pulled: bool,
-    /// True if a rope with a load is drawn.
-    is_tied: bool,
+    /// Names of the marks that are drawn and may vanish.
+    drawn: BTreeSet<&'static str>,
     label_until_s: Option<f64>,
 }
 
@@ -52,7 +51,7 @@ pub(super) fn overlay_path(robot: &EntityPath) -> EntityPath {
 
 impl Overlay {
     /// Creates the overlay and logs its static parts.
-    pub(super) fn new(stream: &Stream, robot: &EntityPath, ground: &Ground, colour: Rgb) -> Result<Self, RecordError> {
+    pub(super) fn new(stream: &Stream, robot: &EntityPath, ground: &Ground, colour: Rgb) -> Result<Self> {
         let overlay = Overlay {
             root: overlay_path(robot),
             ground: ground.clone(),
@@ -63,8 +62,7 @@ impl Overlay {
             next_trunk_trail_s: f64::NEG_INFINITY,
             next_foot_trail_s: f64::NEG_INFINITY,
             push: None,
-            is_pulled: false,
-            is_tied: false,
+            drawn: BTreeSet::new(),
             label_until_s: None,
         };
         overlay.log_shadow_looks(stream)?;
@@ -72,7 +70,7 @@ impl Overlay {
     }
 
     /// Logs the marks of a frame at the current time.
-    pub(super) fn frame(&mut self, stream: &Stream, frame: &Frame, trunk: [f32; 3]) -> Result<(), RecordError> {
+    pub(super) fn frame(&mut self, stream: &Stream, frame: &Frame, trunk: [f32; 3]) -> Result<()> {
         self.trunk = trunk;
         self.log_trails(stream, frame, trunk)?;
         self.log_shadows(stream, frame, trunk)?;
@@ -84,7 +82,7 @@ impl Overlay {
     }
 
     /// Logs the label of an event at the current time; that of a fall stays.
-    pub(super) fn event(&mut self, stream: &Stream, event: &Event) -> Result<(), RecordError> {
+    pub(super) fn event(&mut self, stream: &Stream, event: &Event) -> Result<()> {
         if self.label_until_s == Some(f64::INFINITY) {
             return Ok(());
         }
@@ -102,12 +100,31 @@ impl Overlay {
         stream.replace(&self.entity("label"), &label)
     }
 
-    /// Removes labels and trails.
-    pub(super) fn begin_again(&mut self, stream: &Stream) -> Result<(), RecordError> {
+    pub(super) fn begin_again(&mut self, stream: &Stream) -> Result<()> {
         self.trunk_trail.clear();
         self.foot_trails.iter_mut().for_each(VecDeque::clear);
+        self.end_label(stream)
+    }
+
+    fn end_label(&mut self, stream: &Stream) -> Result<()> {
         match self.label_until_s.take() {
             Some(_) => stream.clear(&self.entity("label"), &Points3D::clear_fields()),
+            None => Ok(()),
+        }
+    }
+
+    /// Draws a mark, or removes the one that was drawn; `nothing` is a mark without content.
+    fn draw<T>(&mut self, stream: &Stream, name: &'static str, mark: Option<T>, nothing: fn() -> T) -> Result<()>
+    where
+        T: AsComponents,
+    {
+        let path = self.entity(name);
+        match mark {
+            Some(mark) => {
+                self.drawn.insert(name);
+                stream.log(&path, &mark)
+            }
+            None if self.drawn.remove(name) => stream.clear(&path, &nothing()),
             None => Ok(()),
         }
     }
@@ -122,12 +139,9 @@ impl Overlay {
     }
 
     /// Moves the label of an event with the robot, and removes it when its time is over.
-    fn log_label(&mut self, stream: &Stream, time_s: f64) -> Result<(), RecordError> {
+    fn log_label(&mut self, stream: &Stream, time_s: f64) -> Result<()> {
         match self.label_until_s {
-            Some(until) if time_s > until => {
-                self.label_until_s = None;
-                stream.clear(&self.entity("label"), &Points3D::clear_fields())
-            }
+            Some(until) if time_s > until => self.end_label(stream),
             Some(_) => {
                 let position = Points3D::update_fields().with_positions([self.label_position()]);
                 stream.log(&self.entity("label"), &position)
@@ -136,14 +150,11 @@ impl Overlay {
         }
     }
 
-    fn log_trails(&mut self, stream: &Stream, frame: &Frame, trunk: [f32; 3]) -> Result<(), RecordError> {
+    fn log_trails(&mut self, stream: &Stream, frame: &Frame, trunk: [f32; 3]) -> Result<()> {
         if is_due(&mut self.next_trunk_trail_s, frame.time_s, TRUNK_TRAIL.0) {
             let below = self.on_ground(trunk);
             push_limited(&mut self.trunk_trail, below, TRUNK_TRAIL.1);
-            let path = LineStrips3D::new([self.trunk_trail.iter().copied().collect::<Vec<_>>()])
-                .with_radii([Radius::new_scene_units(0.004)])
-                .with_colors([opaque(self.colour)]);
-            stream.log(&self.entity("path"), &path)?;
+            stream.log(&self.entity("path"), &lines([&self.trunk_trail], 0.004, self.colour))?;
         }
         if !is_due(&mut self.next_foot_trail_s, frame.time_s, FOOT_TRAIL.0) {
             return Ok(());
@@ -151,10 +162,7 @@ impl Overlay {
         for (trail, foot) in self.foot_trails.iter_mut().zip(frame.foot_positions) {
             push_limited(trail, foot.map(|x| x as f32), FOOT_TRAIL.1);
         }
-        let feet = LineStrips3D::new(self.foot_trails.iter().map(|trail| trail.iter().copied().collect::<Vec<_>>()))
-            .with_radii([Radius::new_scene_units(0.0025)])
-            .with_colors([opaque(SKY)]);
-        stream.log(&self.entity("foot trails"), &feet)
+        stream.log(&self.entity("foot trails"), &lines(&self.foot_trails, 0.0025, SKY))
     }
 
     /// Returns the point of the ground below a point, world frame \[m\].
@@ -164,7 +172,7 @@ impl Overlay {
 
     /// Logs the shapes of the shadows: one with a soft rim below the trunk, unless the ground is uneven, and one for
     /// each foot.
-    fn log_shadow_looks(&self, stream: &Stream) -> Result<(), RecordError> {
+    fn log_shadow_looks(&self, stream: &Stream) -> Result<()> {
         let dark = |alpha| Color::from_unmultiplied_rgba(0, 0, 0, alpha);
         if self.ground == Ground::Flat {
             let rims = (0..8).map(|rim| 0.022 * rim as f32);
@@ -180,7 +188,7 @@ impl Overlay {
         stream.log_static(&self.entity("foot shadows"), &feet)
     }
 
-    fn log_shadows(&self, stream: &Stream, frame: &Frame, trunk: [f32; 3]) -> Result<(), RecordError> {
+    fn log_shadows(&self, stream: &Stream, frame: &Frame, trunk: [f32; 3]) -> Result<()> {
         if self.ground == Ground::Flat {
             let half_yaw = (frame.roll_pitch_yaw[2] / 2.0) as f32;
             let turned = Quaternion::from_xyzw([0.0, 0.0, half_yaw.sin(), half_yaw.cos()]);
@@ -190,17 +198,13 @@ impl Overlay {
         stream.log(&self.entity("foot shadows"), &Ellipsoids3D::update_fields().with_centers(feet))
     }
 
-    fn log_foot_forces(&self, stream: &Stream, frame: &Frame) -> Result<(), RecordError> {
-        let vectors = frame.foot_forces.map(|force| force.map(|f| (f * METRES_PER_NEWTON) as f32));
-        let arrows = Arrows3D::from_vectors(vectors)
-            .with_origins(frame.foot_positions.map(|foot| foot.map(|x| x as f32)))
-            .with_radii([Radius::new_scene_units(0.006)])
-            .with_colors([opaque(LIGHT_GREEN)]);
-        stream.log(&self.entity("foot forces"), &arrows)
+    fn log_foot_forces(&self, stream: &Stream, frame: &Frame) -> Result<()> {
+        let arrow = |leg: usize| (frame.foot_positions[leg], frame.foot_forces[leg].map(|f| f * METRES_PER_NEWTON));
+        stream.log(&self.entity("foot forces"), &arrows(&[0, 1, 2, 3].map(arrow), 0.006, LIGHT_GREEN))
     }
 
     /// Logs the felt forces: on the trunk above it, on the feet beside their true ones. In doubt, the arrows are grey.
-    fn log_felt(&self, stream: &Stream, frame: &Frame, trunk: [f32; 3]) -> Result<(), RecordError> {
+    fn log_felt(&self, stream: &Stream, frame: &Frame, trunk: [f32; 3]) -> Result<()> {
         let Some((on_trunk, on_feet)) = marks::felt(frame, trunk.map(f64::from), METRES_PER_NEWTON) else {
             return Ok(());
         };
@@ -211,64 +215,45 @@ impl Overlay {
 
     /// Logs the disturbance of a frame: pushes and pressing obstacles as arrows that end at the trunk; a pull as a rope
     /// that starts there, with the force at its far end.
-    fn log_disturbance(&mut self, stream: &Stream, frame: &Frame, trunk: [f32; 3]) -> Result<(), RecordError> {
+    fn log_disturbance(&mut self, stream: &Stream, frame: &Frame, trunk: [f32; 3]) -> Result<()> {
         let trunk = trunk.map(f64::from);
-        let path = self.entity("push");
         if let Some(DisturbanceMark::Push { velocity }) = frame.mark {
             self.push = Some((frame.time_s + PUSH_SHOWN_S, velocity));
         }
-        match self.push {
-            Some((until, _)) if frame.time_s > until => {
-                self.push = None;
-                stream.clear(&path, &Arrows3D::clear_fields())?;
-            }
-            Some((_, velocity)) => {
-                stream.log(&path, &arrows(&[marks::push(trunk, velocity)], 0.012, VERMILLION))?;
-            }
-            None => {}
-        }
-        let (rope, pull) = (self.entity("rope"), self.entity("pull"));
-        match frame.mark {
+        self.push.take_if(|(until, _)| frame.time_s > *until);
+        let big = |arrow: Arrow| arrows(&[arrow], 0.012, VERMILLION);
+        let push = self.push.map(|(_, velocity)| big(marks::push(trunk, velocity)));
+        self.draw(stream, "push", push, Arrows3D::clear_fields)?;
+        let (rope, pull) = match frame.mark {
             Some(DisturbanceMark::Rope { force }) => {
                 let arrow = marks::pull(trunk, force, METRES_PER_NEWTON);
-                let strip = LineStrips3D::new([[trunk, arrow.0].map(|point| point.map(|x| x as f32))])
-                    .with_radii([Radius::new_scene_units(0.005)])
-                    .with_colors([opaque(YELLOW)]);
-                stream.log(&rope, &strip)?;
-                stream.log(&pull, &arrows(&[arrow], 0.012, VERMILLION))?;
-                self.is_pulled = true;
+                let ends = [trunk, arrow.0].map(|point| point.map(|x| x as f32));
+                (Some(lines([&ends], 0.005, YELLOW)), Some(big(arrow)))
             }
-            Some(DisturbanceMark::Press { force }) => {
-                stream.log(&pull, &arrows(&[marks::press(trunk, force)], 0.012, VERMILLION))?;
-                self.is_pulled = true;
-            }
-            _ if self.is_pulled => {
-                stream.clear(&rope, &LineStrips3D::clear_fields())?;
-                stream.clear(&pull, &Arrows3D::clear_fields())?;
-                self.is_pulled = false;
-            }
-            _ => {}
-        }
-        Ok(())
+            Some(DisturbanceMark::Press { force }) => (None, Some(big(marks::press(trunk, force)))),
+            _ => (None, None),
+        };
+        self.draw(stream, "rope", rope, LineStrips3D::clear_fields)?;
+        self.draw(stream, "pull", pull, Arrows3D::clear_fields)
     }
 
     /// Logs a rope with a load: bright while it pulls, grey while it is slack.
-    fn log_rope(&mut self, stream: &Stream, frame: &Frame) -> Result<(), RecordError> {
-        let path = self.entity("loaded rope");
-        let Some(rope) = frame.rope.as_ref().filter(|rope| rope.points.len() > 1) else {
-            if self.is_tied {
-                self.is_tied = false;
-                stream.clear(&path, &LineStrips3D::clear_fields())?;
-            }
-            return Ok(());
-        };
-        self.is_tied = true;
-        let colour = if rope.force_n > 0.0 { YELLOW } else { GREY };
-        let strip = LineStrips3D::new([rope.points.clone()])
-            .with_radii([Radius::new_scene_units(0.003)])
-            .with_colors([opaque(colour)]);
-        stream.log(&path, &strip)
+    fn log_rope(&mut self, stream: &Stream, frame: &Frame) -> Result<()> {
+        let rope = frame.rope.as_ref().filter(|rope| rope.points.len() > 1);
+        let colour = |force_n: f64| if force_n > 0.0 { YELLOW } else { GREY };
+        let strip = rope.map(|rope| lines([&rope.points], 0.003, colour(rope.force_n)));
+        self.draw(stream, "loaded rope", strip, LineStrips3D::clear_fields)
     }
+}
+
+fn lines<'a, T: IntoIterator<Item = &'a [f32; 3]>>(
+    strips: impl IntoIterator<Item = T>,
+    radius_m: f32,
+    colour: Rgb,
+) -> LineStrips3D {
+    LineStrips3D::new(strips.into_iter().map(|strip| strip.into_iter().copied().collect::<Vec<_>>()))
+        .with_radii([Radius::new_scene_units(radius_m)])
+        .with_colors([opaque(colour)])
 }
 
 fn arrows(all: &[Arrow], radius_m: f32, colour: Rgb) -> Arrows3D {

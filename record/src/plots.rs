@@ -5,7 +5,7 @@ A plot shows every robot's quantity in the robot's colour and, where there is on
 
 use rerun::{EntityPath, Scalars, SeriesLines};
 
-use super::RecordError;
+use super::Result;
 use super::geometry::child;
 use super::stream::Stream;
 use super::style::{BLUE, GREEN, GREY, ORANGE, PURPLE, Rgb, SKY, lighter, opaque};
@@ -14,48 +14,38 @@ use supple::task::reward::{TERMS, TermDefinition};
 
 /// A plot: one quantity over time.
 pub(super) struct Plot {
-    /// Name of the plot's entities.
     pub(super) entity: &'static str,
     /// Title of the plot, with the unit.
     pub(super) title: &'static str,
-    /// Tab in which the plot is shown.
     pub(super) tab: Tab,
-    /// Kind of the plot's series.
     pub(super) series: Series,
     /// Fixed range of the value axis; `None` for the range of the values.
     pub(super) range: Option<[f64; 2]>,
     values: fn(&Frame) -> Vec<f64>,
 }
 
-/// A tab of plots.
+/// A tab of plots: velocity, height and orientation; power, torque and forces; reward and its terms; state estimated from sensors.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Tab {
-    /// Velocity, height and orientation.
     Motion,
-    /// Power, torque and forces.
     Effort,
-    /// Reward and its terms.
     Reward,
-    /// State estimated from sensors.
     Estimate,
 }
 
 /// The optional plots of a recording.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Shown {
-    /// True if there are obstacles.
     pub(super) obstacles: bool,
-    /// True if a robot acts on its sensors.
     pub(super) estimates: bool,
 }
 
 /// Tabs in order, with their titles; the first one is open.
-const TABS: [(Tab, &str); 4] =
-    [(Tab::Estimate, "Estimate"), (Tab::Motion, "Motion"), (Tab::Effort, "Effort"), (Tab::Reward, "Reward")];
+const TABS: [(Tab, &str); 4] = [(Estimate, "Estimate"), (Motion, "Motion"), (Effort, "Effort"), (Reward, "Reward")];
 
 /// Iterates over the tabs of a recording.
 pub(super) fn tabs(shown: Shown) -> impl Iterator<Item = (Tab, &'static str)> {
-    TABS.into_iter().filter(move |(tab, _)| shown.estimates || *tab != Tab::Estimate)
+    TABS.into_iter().filter(move |(tab, _)| shown.estimates || *tab != Estimate)
 }
 
 /// Kind of a plot's series.
@@ -71,6 +61,9 @@ pub(super) enum Series {
     Terms,
 }
 
+use Series::{Belief, Single, Terms, Tracking};
+use Tab::{Effort, Estimate, Motion, Reward};
+
 const fn plot(
     entity: &'static str,
     title: &'static str,
@@ -83,42 +76,32 @@ const fn plot(
 
 /// All plots of recordings, in order.
 const PLOTS: &[Plot] = &[
-    plot("forward", "Forward velocity [m/s]", Tab::Motion, Series::Tracking, |frame| {
-        vec![frame.command.forward, frame.velocity[0]]
-    }),
-    plot("left", "Left velocity [m/s]", Tab::Motion, Series::Tracking, |frame| {
-        vec![frame.command.left, frame.velocity[1]]
-    }),
-    plot("yaw_rate", "Yaw rate [rad/s]", Tab::Motion, Series::Tracking, |frame| {
-        vec![frame.command.yaw, frame.yaw_rate]
-    }),
-    plot("height", "Base height [m]", Tab::Motion, Series::Single, |frame| vec![frame.height_m]),
-    plot("power", "Mechanical power [W]", Tab::Effort, Series::Single, |frame| vec![frame.power_w]),
-    plot("torque", "Torque norm [N·m]", Tab::Effort, Series::Single, |frame| vec![frame.torque_n_m]),
-    plot("foot_force", "Largest foot force [N]", Tab::Effort, Series::Single, |frame| vec![frame.peak_foot_force_n]),
-    plot(OBSTACLE_FORCE, "Largest obstacle force [N]", Tab::Effort, Series::Single, |frame| {
-        vec![frame.peak_obstacle_force_n]
-    }),
-    plot("reward", "Reward", Tab::Reward, Series::Single, |frame| vec![frame.reward]),
+    plot("forward", "Forward velocity [m/s]", Motion, Tracking, |frame| vec![frame.command.forward, frame.velocity[0]]),
+    plot("left", "Left velocity [m/s]", Motion, Tracking, |frame| vec![frame.command.left, frame.velocity[1]]),
+    plot("yaw_rate", "Yaw rate [rad/s]", Motion, Tracking, |frame| vec![frame.command.yaw, frame.yaw_rate]),
+    plot("height", "Base height [m]", Motion, Single, |frame| vec![frame.height_m]),
+    plot("power", "Mechanical power [W]", Effort, Single, |frame| vec![frame.power_w]),
+    plot("torque", "Torque norm [N·m]", Effort, Single, |frame| vec![frame.torque_n_m]),
+    plot("foot_force", "Largest foot force [N]", Effort, Single, |frame| vec![frame.peak_foot_force_n]),
+    plot(OBSTACLE_FORCE, "Largest obstacle force [N]", Effort, Single, |frame| vec![frame.peak_obstacle_force_n]),
+    plot("reward", "Reward", Reward, Single, |frame| vec![frame.reward]),
     Plot {
         // A robot on its back would make r_pose hide the rest.
         range: Some([0.0, 1.1]),
-        ..plot("terms", "Reward terms", Tab::Reward, Series::Terms, |frame| {
-            shown_terms(frame).map(|(_, value)| value).collect()
-        })
+        ..plot("terms", "Reward terms", Reward, Terms, |frame| shown_terms(frame).map(|(_, value)| value).collect())
     },
-    plot("estimate_forward", "Forward velocity [m/s]", Tab::Estimate, Series::Belief, |frame| {
+    plot("estimate_forward", "Forward velocity [m/s]", Estimate, Belief, |frame| {
         believed(frame, frame.velocity[0], |sensed| sensed.velocity[0])
     }),
-    plot("estimate_left", "Left velocity [m/s]", Tab::Estimate, Series::Belief, |frame| {
+    plot("estimate_left", "Left velocity [m/s]", Estimate, Belief, |frame| {
         believed(frame, frame.velocity[1], |sensed| sensed.velocity[1])
     }),
-    plot("estimate_height", "Base height [m]", Tab::Estimate, Series::Belief, |frame| {
+    plot("estimate_height", "Base height [m]", Estimate, Belief, |frame| {
         believed(frame, frame.height_m, |sensed| sensed.height_m)
     }),
     Plot {
         range: Some([0.0, 4.2]),
-        ..plot("estimate_contacts", "Feet that stand", Tab::Estimate, Series::Belief, |frame| {
+        ..plot("estimate_contacts", "Feet that stand", Estimate, Belief, |frame| {
             let truth = frame.sensed.map_or(f64::NAN, |sensed| count(sensed.true_contacts));
             believed(frame, truth, |sensed| count(sensed.contacts))
         })
@@ -149,7 +132,7 @@ const OBSTACLE_FORCE: &str = "obstacle_force";
 /// Iterates over the plots of a recording.
 pub(super) fn plots(shown: Shown) -> impl Iterator<Item = &'static Plot> {
     let is_shown = move |plot: &&Plot| match plot.tab {
-        Tab::Estimate => shown.estimates,
+        Estimate => shown.estimates,
         _ => shown.obstacles || plot.entity != OBSTACLE_FORCE,
     };
     PLOTS.iter().filter(is_shown)
@@ -163,17 +146,17 @@ impl Plot {
 }
 
 /// Logs names and colours of a robot's series, once at the start.
-pub(super) fn log_styles(stream: &Stream, robot: &str, colour: Rgb, is_first: bool) -> Result<(), RecordError> {
+pub(super) fn log_styles(stream: &Stream, robot: &str, colour: Rgb, is_first: bool) -> Result<()> {
     for plot in PLOTS {
         let estimated = format!("{robot}, estimated");
         let (names, colours): (Vec<&str>, Vec<Rgb>) = match plot.series {
-            Series::Terms => {
+            Terms => {
                 let names = shown_terms(&Frame::default()).map(|(term, _)| term.symbol).collect::<Vec<_>>();
                 names.into_iter().zip(TERM_COLOURS.into_iter().cycle()).unzip()
             }
-            Series::Belief => [(robot, colour), (estimated.as_str(), lighter(colour))].into_iter().unzip(),
-            Series::Tracking if is_first => [("commanded", GREY), (robot, colour)].into_iter().unzip(),
-            Series::Tracking | Series::Single => [(robot, colour)].into_iter().unzip(),
+            Belief => [(robot, colour), (estimated.as_str(), lighter(colour))].into_iter().unzip(),
+            Tracking if is_first => [("commanded", GREY), (robot, colour)].into_iter().unzip(),
+            Tracking | Single => [(robot, colour)].into_iter().unzip(),
         };
         let style =
             SeriesLines::new().with_names(names).with_colors(colours.into_iter().map(opaque)).with_widths([2.0]);
@@ -183,16 +166,10 @@ pub(super) fn log_styles(stream: &Stream, robot: &str, colour: Rgb, is_first: bo
 }
 
 /// Logs a robot's values at the current time.
-pub(super) fn log_values(
-    stream: &Stream,
-    robot: &str,
-    is_first: bool,
-    shown: Shown,
-    frame: &Frame,
-) -> Result<(), RecordError> {
+pub(super) fn log_values(stream: &Stream, robot: &str, is_first: bool, shown: Shown, frame: &Frame) -> Result<()> {
     for plot in plots(shown) {
         let mut values = (plot.values)(frame);
-        if plot.series == Series::Tracking && !is_first {
+        if plot.series == Tracking && !is_first {
             values.remove(0);
         }
         stream.log(&plot.path(robot), &Scalars::new(values))?;

@@ -12,7 +12,7 @@ use super::overlay::{Overlay, overlay_path};
 use super::plots::{self, Shown};
 use super::stream::Stream;
 use super::style::{BLUE, CAMERA_LAG_S, EYE_DISTANCE_M};
-use super::{RecordError, RobotView};
+use super::{RecordError, Result, RobotView};
 use supple::mujoco::Object;
 use supple::scenario::trace::{Event, EventKind, Frame, Pose};
 use supple::task::Stage;
@@ -25,7 +25,6 @@ const BALLS_IN_EVERY_FRAME: usize = 500;
 const LEAST_BALL_CHANGE_M: f32 = 5e-4;
 
 /// The entities of a robot, and the values that were logged last.
-#[derive(Debug)]
 pub(super) struct Robot {
     name: String,
     is_first: bool,
@@ -44,19 +43,18 @@ pub(super) struct Robot {
 
 impl Robot {
     /// Logs all static parts.
-    pub(super) fn new(
-        stream: &Stream,
-        view: &RobotView<'_>,
-        is_first: bool,
-        shown: Shown,
-    ) -> Result<Self, RecordError> {
+    pub(super) fn new(stream: &Stream, view: &RobotView<'_>, is_first: bool, shown: Shown) -> Result<Self> {
         let root = robot_path(view.name);
         let colour = view.tint.unwrap_or(BLUE);
         let model = view.model;
         stream.log_static(&root, &rerun::ViewCoordinates::RIGHT_HAND_Z_UP())?;
         let parts = log_model(stream, &root, model, view.tint)?;
         let patches = log_grounds(stream, &root, model, view.ground)?;
-        let robot = Robot {
+        log_camera_size(stream, view.name)?;
+        if !stream.is_live {
+            plots::log_styles(stream, view.name, colour, is_first)?;
+        }
+        Ok(Robot {
             name: view.name.to_owned(),
             is_first,
             shown,
@@ -70,16 +68,11 @@ impl Robot {
             camera: None,
             stage: None,
             root,
-        };
-        robot.log_camera_size(stream)?;
-        if !stream.is_live() {
-            plots::log_styles(stream, view.name, colour, is_first)?;
-        }
-        Ok(robot)
+        })
     }
 
     /// Logs a frame at the current time.
-    pub(super) fn frame(&mut self, stream: &Stream, frame: &Frame) -> Result<(), RecordError> {
+    pub(super) fn frame(&mut self, stream: &Stream, frame: &Frame) -> Result<()> {
         if frame.bodies.len() != self.body_count {
             let (expected, found) = (self.body_count, frame.bodies.len());
             return Err(RecordError::Bodies { robot: self.name.clone(), expected, found });
@@ -93,7 +86,7 @@ impl Robot {
             patch.follow(stream, trunk)?;
         }
         self.overlay.frame(stream, frame, trunk)?;
-        if stream.is_live() {
+        if stream.is_live {
             return Ok(());
         }
         plots::log_values(stream, &self.name, self.is_first, self.shown, frame)?;
@@ -111,46 +104,45 @@ impl Robot {
     }
 
     /// Logs an event as text and as a label at the robot.
-    pub(super) fn event(&mut self, stream: &Stream, event: &Event) -> Result<(), RecordError> {
+    pub(super) fn event(&mut self, stream: &Stream, event: &Event) -> Result<()> {
         let level = match event.kind {
             EventKind::Disturbance => TextLogLevel::WARN,
             EventKind::Success => TextLogLevel::INFO,
             EventKind::Fall => TextLogLevel::ERROR,
             EventKind::Fault => TextLogLevel::CRITICAL,
         };
-        if !stream.is_live() {
+        if !stream.is_live {
             self.log_text(stream, event.time_s, &event.text, level)?;
         }
         self.overlay.event(stream, event)
     }
 
     /// Removes labels and trails after the robot was placed at its start or on its feet.
-    pub(super) fn begin_again(&mut self, stream: &Stream) -> Result<(), RecordError> {
+    pub(super) fn begin_again(&mut self, stream: &Stream) -> Result<()> {
         self.camera = None;
         self.overlay.begin_again(stream)
     }
 
-    fn log_text(&self, stream: &Stream, time_s: f64, text: &str, level: &str) -> Result<(), RecordError> {
+    fn log_text(&self, stream: &Stream, time_s: f64, text: &str, level: &str) -> Result<()> {
         // Whole milliseconds: the log's narrow column shows no more.
         stream.set_time((time_s * 1e3).round() / 1e3)?;
         let log = TextLog::new(format!("{}: {text}", self.name)).with_level(level);
         stream.log(&events_path(&self.name), &log)
     }
 
-    fn log_poses(&mut self, stream: &Stream, frame: &Frame) -> Result<(), RecordError> {
+    fn log_poses(&mut self, stream: &Stream, frame: &Frame) -> Result<()> {
         for ((body, path), last) in self.parts.bodies.iter().zip(&mut self.last_poses) {
             let pose = frame.bodies[*body];
-            if last.is_some_and(|last| is_same(&last, &pose)) {
-                continue;
+            if !last.is_some_and(|last| is_same(&last, &pose)) {
+                *last = Some(pose);
+                let [w, x, y, z] = pose.quaternion;
+                stream.place(path, pose.position, Some(Quaternion::from_xyzw([x, y, z, w])))?;
             }
-            *last = Some(pose);
-            let [w, x, y, z] = pose.quaternion;
-            stream.place(path, pose.position, Some(Quaternion::from_xyzw([x, y, z, w])))?;
         }
         Ok(())
     }
 
-    fn log_balls(&mut self, stream: &Stream, frame: &Frame) -> Result<(), RecordError> {
+    fn log_balls(&mut self, stream: &Stream, frame: &Frame) -> Result<()> {
         self.frames += 1;
         if self.parts.balls.len() > BALLS_IN_EVERY_FRAME && self.frames.is_multiple_of(2) {
             return Ok(());
@@ -160,8 +152,7 @@ impl Robot {
             let position = frame.bodies[*body].position;
             // The NaN of the beginning counts as moved.
             if last[0].is_nan() || distance(position, *last) > LEAST_BALL_CHANGE_M {
-                *last = position;
-                moved = true;
+                (*last, moved) = (position, true);
             }
         }
         if moved {
@@ -171,18 +162,7 @@ impl Robot {
         Ok(())
     }
 
-    /// Logs two invisible points, whose distance sets the distance of the camera.
-    fn log_camera_size(&self, stream: &Stream) -> Result<(), RecordError> {
-        // The viewer goes to 1.5 times the radius of the box around the entity.
-        let half = EYE_DISTANCE_M / 1.5;
-        let points = [[[0.0, 0.0, -half]; 2], [[0.0, 0.0, half]; 2]];
-        let size = LineStrips3D::new(points)
-            .with_radii([Radius::new_scene_units(0.0)])
-            .with_colors([Color::from_unmultiplied_rgba(0, 0, 0, 0)]);
-        stream.log_static(&camera_path(&self.name), &size)
-    }
-
-    fn log_camera(&mut self, stream: &Stream, time_s: f64, target: [f32; 3]) -> Result<(), RecordError> {
+    fn log_camera(&mut self, stream: &Stream, time_s: f64, target: [f32; 3]) -> Result<()> {
         let position = match self.camera {
             Some((then_s, last)) => {
                 let weight = 1.0 - (-((time_s - then_s) as f32).max(0.0) / CAMERA_LAG_S).exp();
@@ -193,6 +173,17 @@ impl Robot {
         self.camera = Some((time_s, position));
         stream.place(&camera_path(&self.name), position, None)
     }
+}
+
+/// Logs two invisible points, whose distance sets the distance of the camera.
+fn log_camera_size(stream: &Stream, robot: &str) -> Result<()> {
+    // The viewer goes to 1.5 times the radius of the box around the entity.
+    let half = EYE_DISTANCE_M / 1.5;
+    let points = [[[0.0, 0.0, -half]; 2], [[0.0, 0.0, half]; 2]];
+    let size = LineStrips3D::new(points)
+        .with_radii([Radius::new_scene_units(0.0)])
+        .with_colors([Color::from_unmultiplied_rgba(0, 0, 0, 0)]);
+    stream.log_static(&camera_path(robot), &size)
 }
 
 /// Returns the path of a robot, its ground and its obstacles.

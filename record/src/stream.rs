@@ -26,10 +26,10 @@ use rerun::{
     AsComponents, EntityPath, MemoryLimit, Quaternion, RecordingStream, RecordingStreamBuilder, RecordingStreamError,
     ServerOptions, Transform3D,
 };
-use supple::util::files::Target;
+use supple::util::files::{FileError, Target};
 
-use super::RecordError;
 use super::style::PATIENCE;
+use super::{RecordError, Result};
 
 /// Name under which viewers store our recordings and layouts.
 pub(super) const APPLICATION: &str = "supple";
@@ -49,30 +49,28 @@ pub enum Sink {
     /// Web browsers on this machine: the viewer's page is on this port, see [`page_url`], and its data on the next one.
     /// Both are served until the recording is finished; a page opened later still gets all data.
     Serve(u16),
-}
-
-/// Destination of a live view.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum LiveSink {
     /// Memory, from which [`Recorder::take`](super::Recorder::take) takes the data.
     Memory,
-    /// A running viewer, as in [`Sink::Connect`].
-    Connect(Option<String>),
 }
 
 /// Checks that a recording can have this name: that of a file that ends with `.rrd`, as the viewer expects, or of a device.
 ///
 /// # Errors
 /// The name has another ending or none, or stands for a folder or standard output.
-pub fn check_name(path: &Path) -> Result<(), RecordError> {
-    let create = |source| RecordError::Create { path: path.to_owned(), source };
-    match Target::of(path).map_err(create)? {
-        Target::Output => Err(create(io::Error::other("a recording cannot go to standard output: name a file"))),
-        Target::File(_) if path.extension().is_none_or(|ending| !ending.eq_ignore_ascii_case("rrd")) => {
-            Err(RecordError::Ending { path: path.to_owned() })
-        }
-        Target::File(_) | Target::Stream(_) => Ok(()),
-    }
+pub fn check_name(path: &Path) -> Result<()> {
+    let problem = match Target::of(path).map_err(cannot_create(path))? {
+        Target::Output => "a recording cannot go to standard output: name a file".to_owned(),
+        Target::File(_) if path.extension().is_none_or(|ending| !ending.eq_ignore_ascii_case("rrd")) => format!(
+            "it is for the rerun viewer (no video, no table) and its name ends with .rrd; name it {}",
+            path.with_extension("rrd").display()
+        ),
+        Target::File(_) | Target::Stream(_) => return Ok(()),
+    };
+    Err(cannot_create(path)(problem).into())
+}
+
+fn cannot_create<E: ToString>(path: &Path) -> impl Fn(E) -> FileError + Copy {
+    FileError::of("cannot create the recording", path)
 }
 
 /// Returns the address of the page that [`Sink::Serve`] serves on a port, with the recording open in it.
@@ -84,13 +82,13 @@ pub fn page_url(port: u16) -> String {
 const LOCAL: &str = "127.0.0.1";
 
 /// Returns a builder that ignores the variable `RERUN`, because `RERUN=off` would silently lose a requested recording.
-fn builder(title: &str) -> Result<RecordingStreamBuilder, RecordError> {
+fn builder(title: &str) -> Result<RecordingStreamBuilder> {
     check_clock(SystemTime::now())?;
     Ok(RecordingStreamBuilder::new(APPLICATION).enabled(true).recording_name(title))
 }
 
 /// Refuses a time at which rerun would panic.
-pub(super) fn check_clock(now: SystemTime) -> Result<(), RecordError> {
+pub(super) fn check_clock(now: SystemTime) -> Result<()> {
     if now < SystemTime::UNIX_EPOCH { Err(RecordError::Clock) } else { Ok(()) }
 }
 
@@ -102,8 +100,8 @@ pub(super) struct Stream {
     /// The rerun stream; `None` after a failure.
     recording: Option<RecordingStream>,
     /// True for live streams, which keep only the latest value of each entity.
-    is_live: bool,
-    /// Data that a live stream has logged and not yet returned by `take`.
+    pub(super) is_live: bool,
+    /// Data that were logged in memory and not yet returned by `take`.
     memory: Option<BinaryStreamStorage>,
     file: Option<PathBuf>,
     /// The server of the viewer's page, which runs until this is dropped.
@@ -116,96 +114,75 @@ pub(super) struct Stream {
 }
 
 impl Stream {
-    /// Creates the file or connects to the viewer.
-    pub(super) fn open(sink: Sink, title: &str) -> Result<Self, RecordError> {
+    /// Creates the file, connects to the viewer, or starts to store data in memory.
+    pub(super) fn open(sink: Sink, title: &str, is_live: bool) -> Result<Self> {
         let builder = builder(title)?;
-        let (recording, file, page, target) = match sink {
+        let (mut memory, mut file, mut page) = (None, None, None);
+        let (recording, target) = match sink {
             Sink::File(path) => {
                 let target = path.display().to_string();
-                let create = |source| RecordError::Create { path: path.clone(), source };
                 check_name(&path)?;
                 if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
-                    fs::create_dir_all(folder).map_err(create)?;
+                    fs::create_dir_all(folder).map_err(cannot_create(&path))?;
                 }
-                File::create(&path).map_err(create)?;
+                File::create(&path).map_err(cannot_create(&path))?;
                 // Few large chunks: each costs some kilobytes of description.
                 let batches = ChunkBatcherConfig { flush_num_bytes: 8 << 20, ..ChunkBatcherConfig::NEVER };
-                let failed = |error: RecordingStreamError| RecordError::Write {
-                    target: target.clone(),
-                    reason: error.to_string(),
-                };
-                (builder.batcher_config(batches).save(&path).map_err(failed)?, Some(path), None, target)
+                let failed = |error: RecordingStreamError| RecordError::Write(target.clone(), error.to_string());
+                let recording = builder.batcher_config(batches).save(&path).map_err(failed)?;
+                file = Some(path);
+                (recording, target)
             }
             Sink::Connect(url) => {
                 let target = url.unwrap_or_else(|| rerun::DEFAULT_CONNECT_URL.to_owned());
                 let recording = builder
                     .batcher_config(LIVE)
                     .connect_grpc_opts(target.clone())
-                    .map_err(|error| RecordError::Viewer { url: target.clone(), reason: error.to_string() })?;
-                (recording, None, None, target)
+                    .map_err(|error| RecordError::Viewer(target.clone(), error.to_string()))?;
+                (recording, target)
             }
             Sink::Serve(port) => {
-                let (recording, page) = serve(builder, port)?;
-                (recording, None, Some(page), page_url(port))
+                let (recording, server) = serve(builder, port)?;
+                page = Some(server);
+                (recording, page_url(port))
+            }
+            Sink::Memory => {
+                // The reader flushes before it takes the data.
+                let recording = builder.batcher_config(ChunkBatcherConfig::NEVER).buffered()?;
+                let (sink, storage) = BinaryStreamSink::new(recording.clone());
+                recording.set_sink(Box::new(sink));
+                memory = Some(storage);
+                (recording, "in memory".to_owned())
             }
         };
+        recording.set_log_time_enabled(false);
+        recording.set_log_tick_enabled(false);
         let frames_per_flush = if file.is_some() { 1200 } else { 120 };
         let recording = Some(recording);
-        let (is_live, memory) = (false, None);
-        Stream { recording, is_live, memory, file, _page: page, target, frames_per_flush, frames: 0 }.begin()
-    }
-
-    /// Connects to the viewer, or starts to store data in memory.
-    pub(super) fn open_live(sink: LiveSink, title: &str) -> Result<Self, RecordError> {
-        let mut stream = match sink {
-            LiveSink::Connect(url) => Stream::open(Sink::Connect(url), title)?,
-            LiveSink::Memory => {
-                // The reader flushes before it takes the data.
-                let recording = builder(title)?.batcher_config(ChunkBatcherConfig::NEVER).buffered()?;
-                let (sink, memory) = BinaryStreamSink::new(recording.clone());
-                recording.set_sink(Box::new(sink));
-                let (recording, memory, target) = (Some(recording), Some(memory), "in memory".to_owned());
-                let (is_live, file, _page, frames_per_flush) = (true, None, None, 120);
-                Stream { recording, is_live, memory, file, _page, target, frames_per_flush, frames: 0 }.begin()?
+        let mut stream = Stream { recording, is_live, memory, file, _page: page, target, frames_per_flush, frames: 0 };
+        match stream.flush() {
+            Err(RecordError::Write(target, _)) if stream.file.is_none() => {
+                Err(RecordError::Viewer(target, format!("nothing within {PATIENCE:?}")))
             }
-        };
-        stream.is_live = true;
-        Ok(stream)
-    }
-
-    fn begin(mut self) -> Result<Self, RecordError> {
-        if let Some(recording) = &self.recording {
-            recording.set_log_time_enabled(false);
-            recording.set_log_tick_enabled(false);
+            flushed => flushed.map(|()| stream),
         }
-        let flushed = self.flush();
-        flushed.map_err(|error| match (error, &self.file) {
-            (RecordError::Write { target, .. }, None) => {
-                RecordError::Viewer { url: target, reason: format!("nothing within {PATIENCE:?}") }
-            }
-            (error, _) => error,
-        })?;
-        Ok(self)
-    }
-
-    /// Returns true for live streams, which keep only the latest value of each entity.
-    pub(super) fn is_live(&self) -> bool {
-        self.is_live
     }
 
     /// Takes the data logged since the last call, as a complete `.rrd` file.
-    pub(super) fn take(&mut self) -> Result<Vec<u8>, RecordError> {
+    pub(super) fn take(&mut self) -> Result<Vec<u8>> {
         self.flush()?;
         Ok(self.memory.as_ref().and_then(BinaryStreamStorage::read).unwrap_or_default())
     }
 
     /// Returns the rerun stream, or the error of a stream that has failed.
-    pub(super) fn recording(&self) -> Result<&RecordingStream, RecordError> {
-        self.recording.as_ref().ok_or_else(|| RecordError::Closed { target: self.target.clone() })
+    pub(super) fn recording(&self) -> Result<&RecordingStream> {
+        let problem =
+            || RecordError::Write(self.target.clone(), "it has failed before and takes no more data".to_owned());
+        self.recording.as_ref().ok_or_else(problem)
     }
 
     /// Sets the current time, for all data logged from now on \[s\].
-    pub(super) fn set_time(&self, time_s: f64) -> Result<(), RecordError> {
+    pub(super) fn set_time(&self, time_s: f64) -> Result<()> {
         if !self.is_live {
             self.recording()?.set_duration_secs(TIMELINE, time_s);
         }
@@ -213,20 +190,13 @@ impl Stream {
     }
 
     /// Logs data at the current time.
-    pub(super) fn log(&self, path: &EntityPath, data: &impl AsComponents) -> Result<(), RecordError> {
-        if self.is_live {
-            return self.log_static(path, data);
-        }
-        Ok(self.recording()?.log(path.clone(), data)?)
+    pub(super) fn log(&self, path: &EntityPath, data: &impl AsComponents) -> Result<()> {
+        let recording = self.recording()?;
+        Ok(if self.is_live { recording.log_static(path.clone(), data) } else { recording.log(path.clone(), data) }?)
     }
 
     /// Logs position and orientation of an entity.
-    pub(super) fn place(
-        &self,
-        path: &EntityPath,
-        translation: [f32; 3],
-        quaternion: Option<Quaternion>,
-    ) -> Result<(), RecordError> {
+    pub(super) fn place(&self, path: &EntityPath, translation: [f32; 3], quaternion: Option<Quaternion>) -> Result<()> {
         if self.is_live {
             let pose = InstancePoses3D::update_fields().with_translations([translation]);
             return match quaternion {
@@ -243,7 +213,7 @@ impl Stream {
 
     /// Replaces all data of an entity. Data of one flush arrive in any order, and in a live stream an update that
     /// arrives after its replacement would stay for ever: so the stream is flushed first.
-    pub(super) fn replace(&self, path: &EntityPath, data: &impl AsComponents) -> Result<(), RecordError> {
+    pub(super) fn replace(&self, path: &EntityPath, data: &impl AsComponents) -> Result<()> {
         if self.is_live {
             self.recording()?.flush_with_timeout(PATIENCE).map_err(|error| self.unwritten(&error))?;
         }
@@ -251,50 +221,42 @@ impl Stream {
     }
 
     /// Removes an entity; `nothing` is the same archetype without content.
-    pub(super) fn clear(&self, path: &EntityPath, nothing: &impl AsComponents) -> Result<(), RecordError> {
+    pub(super) fn clear(&self, path: &EntityPath, nothing: &impl AsComponents) -> Result<()> {
         if self.is_live { self.replace(path, nothing) } else { self.log(path, &Clear::flat()) }
     }
 
     /// Logs static data, which hold at all times.
-    pub(super) fn log_static(&self, path: &EntityPath, data: &impl AsComponents) -> Result<(), RecordError> {
+    pub(super) fn log_static(&self, path: &EntityPath, data: &impl AsComponents) -> Result<()> {
         Ok(self.recording()?.log_static(path.clone(), data)?)
     }
 
     /// Counts a frame, and flushes regularly to check that the data have arrived.
-    pub(super) fn end_frame(&mut self) -> Result<(), RecordError> {
-        self.frames += 1;
-        if self.frames < self.frames_per_flush {
-            return Ok(());
-        }
-        self.frames = 0;
-        self.flush()
+    pub(super) fn end_frame(&mut self) -> Result<()> {
+        self.frames = (self.frames + 1) % self.frames_per_flush;
+        if self.frames == 0 { self.flush() } else { Ok(()) }
     }
 
-    fn flush(&mut self) -> Result<(), RecordError> {
+    fn flush(&mut self) -> Result<()> {
         let flushed = self.recording()?.flush_with_timeout(PATIENCE);
         flushed.map_err(|error| {
-            if let Some(broken) = self.recording.take() {
-                drop_in_background(broken);
-            }
+            self.recording.take().map(drop_in_background);
             self.unwritten(&error)
         })
     }
 
     fn unwritten(&self, error: &impl std::fmt::Display) -> RecordError {
         let hint = if self.file.is_some() { "; is the disk full?" } else { "" };
-        RecordError::Write { target: self.target.clone(), reason: format!("{error}{hint}") }
+        RecordError::Write(self.target.clone(), format!("{error}{hint}"))
     }
 
     /// Writes all data and closes the file or the connection.
-    pub(super) fn finish(mut self) -> Result<(), RecordError> {
+    pub(super) fn finish(mut self) -> Result<()> {
         self.flush()?;
-        let failed = |reason: &str| RecordError::Write { target: self.target.clone(), reason: reason.to_owned() };
-        if let Some(recording) = self.recording.take() {
-            let closed = drop_in_background(recording);
-            // Without a thread of its own, it was closed at once.
-            if closed.recv_timeout(PATIENCE) == Err(RecvTimeoutError::Timeout) {
-                return Err(failed("it could not be closed"));
-            }
+        let failed = |reason: &str| RecordError::Write(self.target.clone(), reason.to_owned());
+        let closed = self.recording.take().map(drop_in_background);
+        // Without a thread of its own, it was closed at once.
+        if closed.is_some_and(|closed| closed.recv_timeout(PATIENCE) == Err(RecvTimeoutError::Timeout)) {
+            return Err(failed("it could not be closed"));
         }
         match &self.file {
             Some(path) if !has_footer(path) => Err(failed("its end could not be written; is the disk full?")),
@@ -304,29 +266,19 @@ impl Stream {
 }
 
 /// Serves a recording on `port + 1` and a viewer's page for it on `port`.
-fn serve(builder: RecordingStreamBuilder, port: u16) -> Result<(RecordingStream, Page), RecordError> {
-    let failed = |port, reason: String| RecordError::Serve { port, reason };
-    let data_port = port.checked_add(1).ok_or_else(|| failed(port, "there is no port after it for the data".into()))?;
+fn serve(builder: RecordingStreamBuilder, port: u16) -> Result<(RecordingStream, Page)> {
+    let no_port = || RecordError::Serve(port, "there is no port after it for the data".into());
+    let data_port = port.checked_add(1).ok_or_else(no_port)?;
     // rerun's own servers report a port that is taken to their log, not to us.
     for port in [port, data_port] {
-        drop(TcpListener::bind((LOCAL, port)).map_err(|error| failed(port, error.to_string()))?);
+        drop(TcpListener::bind((LOCAL, port)).map_err(|error| RecordError::Serve(port, error.to_string()))?);
     }
     let options = ServerOptions { memory_limit: MemoryLimit::from_fraction_of_total(0.25), ..ServerOptions::default() };
     let recording = builder.batcher_config(LIVE).serve_grpc_opts(LOCAL, data_port, options)?;
-    let page = WebViewerConfig {
-        bind_ip: LOCAL.to_owned(),
-        web_port: port.into(),
-        open_browser: false,
-        ..WebViewerConfig::default()
-    };
-    let server = page.host_web_viewer().map_err(|error| failed(port, error.to_string()))?;
+    let (bind_ip, web_port) = (LOCAL.to_owned(), port.into());
+    let page = WebViewerConfig { bind_ip, web_port, open_browser: false, ..WebViewerConfig::default() };
+    let server = page.host_web_viewer().map_err(|error| RecordError::Serve(port, error.to_string()))?;
     Ok((recording, Box::new(server)))
-}
-
-impl std::fmt::Debug for Stream {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Stream").field("target", &self.target).field("is_live", &self.is_live).finish_non_exhaustive()
-    }
 }
 
 /// Drops the rerun stream in the background, because closing it may hang.

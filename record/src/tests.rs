@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 use std::fs::File;
 use std::net::TcpListener;
 use std::path::Path;
+use std::sync::LazyLock;
 use std::time::{Duration, Instant};
 
 use rerun::external::re_sdk_types::blueprint::archetypes::{EyeControls3D, ViewContents};
@@ -16,25 +17,20 @@ use supple::scenario::trace::{DisturbanceMark, EventKind, Pose, Rope, Sensed};
 use supple::sim::{Buffers, Ground, HeightField, Scene};
 use supple::task::{Command, Stage};
 
+/// A robot on the plane.
+static FLAT: LazyLock<Scene> = LazyLock::new(|| Scene::flat(Robot::load("go1").unwrap(), 1.0 / 240.0));
+
 fn obstacles() -> String {
-    let ball = |k: usize| {
-        format!(
-            r#"<body name="ball{k}" pos="1 {k} 1"><freejoint/><geom name="ball{k}" type="sphere" size="0.1"/></body>"#
-        )
+    let body = |name: &str, place: &str, shape: &str| {
+        format!(r#"<body name="{name}" pos="{place}"><freejoint/><geom name="{name}" {shape}/></body>"#)
     };
-    let balls: String = (0..5).map(ball).collect();
-    format!(
-        r#"{balls}<body name="crate" pos="2 0 1"><freejoint/><geom name="crate" type="box" size="0.1 0.1 0.1"/></body>"#
-    )
+    let ball = |k: usize| body(&format!("ball{k}"), &format!("1 {k} 1"), r#"type="sphere" size="0.1""#);
+    (0..5).map(ball).chain([body("crate", "2 0 1", r#"type="box" size="0.1 0.1 0.1""#)]).collect()
 }
 
 fn scene(ground: Ground) -> Scene {
-    Scene {
-        ground,
-        obstacles: obstacles(),
-        buffers: Buffers { contacts: 100, rows: 500, stack: 200_000 },
-        ..Scene::flat(Robot::load("go1").unwrap(), 1.0 / 240.0)
-    }
+    let buffers = Buffers { contacts: 100, rows: 500, stack: 200_000 };
+    Scene { ground, obstacles: obstacles(), buffers, ..FLAT.clone() }
 }
 
 /// Returns a frame with the poses of the scene's start and invented forces, commands and rewards.
@@ -71,7 +67,7 @@ struct Content {
     followed: Vec<String>,
 }
 
-fn read(path: &std::path::Path) -> Content {
+fn read(path: &Path) -> Content {
     let mut content = Content { recorded: BTreeSet::new(), shown: Vec::new(), followed: Vec::new() };
     let stores = ChunkStore::from_rrd_reader(&ChunkStoreConfig::DEFAULT, &mut File::open(path).unwrap()).unwrap();
     for (id, store) in &stores {
@@ -97,16 +93,8 @@ fn a_recording_has_every_entity_that_its_layout_names() {
     let hills = Ground::Field(HeightField::sample([2.0, 2.0], 0.1, |x, y| 0.1 * (x + y).sin()).into());
     let (flat, uneven) = (scene(Ground::Flat), scene(hills));
     let models = [flat.compile_visual().unwrap(), uneven.compile_visual().unwrap()];
-    let views = [
-        RobotView { name: "compliant", model: &models[0], ground: &flat.ground, tint: Some(BLUE), estimates: true },
-        RobotView {
-            name: "the other one",
-            model: &models[1],
-            ground: &uneven.ground,
-            tint: Some(ORANGE),
-            estimates: false,
-        },
-    ];
+    let mut views = RobotView::several([("compliant", &models[0], &flat), ("the other one", &models[1], &uneven)]);
+    views[0].estimates = true;
     let mut recorder = Recorder::new(Sink::File(path.clone()), "test", &views).unwrap();
     for (robot, model) in models.iter().enumerate() {
         for step in 0..40 {
@@ -153,32 +141,31 @@ fn a_recording_has_every_entity_that_its_layout_names() {
 #[test]
 fn frames_of_another_scene_and_unknown_robots_are_refused() {
     let folder = tempfile::tempdir().unwrap();
-    let flat = Scene::flat(Robot::load("go1").unwrap(), 1.0 / 240.0);
-    let model = flat.compile_visual().unwrap();
-    let view = RobotView { name: "compliant", model: &model, ground: &flat.ground, tint: None, estimates: false };
+    let model = FLAT.compile_visual().unwrap();
+    let view = RobotView::new("compliant", &model, &FLAT);
     let mut recorder = Recorder::new(Sink::File(folder.path().join("a.rrd")), "test", &[view]).unwrap();
     let other = frame(&scene(Ground::Flat).compile_visual().unwrap(), 0.0);
     assert!(matches!(recorder.frame(0, &other), Err(RecordError::Bodies { expected: 14, found: 20, .. })));
-    assert!(matches!(recorder.frame(1, &frame(&model, 0.0)), Err(RecordError::Robot { index: 1, count: 1 })));
+    assert!(matches!(recorder.frame(1, &frame(&model, 0.0)), Err(RecordError::Robot(1, 1))));
     recorder.finish().unwrap();
 }
 
 #[test]
 fn places_where_nothing_can_be_written_are_errors() {
-    let flat = Scene::flat(Robot::load("go1").unwrap(), 1.0 / 240.0);
-    let model = flat.compile_visual().unwrap();
-    let view = RobotView { name: "compliant", model: &model, ground: &flat.ground, tint: None, estimates: false };
+    let model = FLAT.compile_visual().unwrap();
+    let view = RobotView::new("compliant", &model, &FLAT);
     let open = |sink| Recorder::new(sink, "test", &[view]);
     for path in ["/proc/none/a.rrd", "-", "/dev/stdout"] {
-        assert!(matches!(open(Sink::File(path.into())), Err(RecordError::Create { .. })), "{path}");
+        assert!(matches!(open(Sink::File(path.into())), Err(RecordError::Create(_))), "{path}");
     }
-    assert!(matches!(open(Sink::Connect(Some("nonsense".into()))), Err(RecordError::Viewer { .. })));
+    assert!(matches!(open(Sink::Connect(Some("nonsense".into()))), Err(RecordError::Viewer(..))));
 }
 
 #[test]
 fn a_recording_is_named_as_one() {
     for path in ["walk.mp4", "walk", "walk.rrd.csv"] {
-        assert!(matches!(check_name(Path::new(path)), Err(RecordError::Ending { .. })), "{path}");
+        let error = check_name(Path::new(path)).unwrap_err().to_string();
+        assert!(error.contains("its name ends with .rrd; name it walk.r"), "{error}");
     }
     for path in ["walk.rrd", "WALK.RRD", "new folder/a.b.rrd", "/dev/null"] {
         assert!(check_name(Path::new(path)).is_ok(), "{path}");
@@ -188,25 +175,23 @@ fn a_recording_is_named_as_one() {
 #[cfg(target_os = "linux")]
 #[test]
 fn a_full_disk_is_an_error_at_the_latest_at_the_end() {
-    let flat = Scene::flat(Robot::load("go1").unwrap(), 1.0 / 240.0);
-    let model = flat.compile_visual().unwrap();
-    let view = RobotView { name: "compliant", model: &model, ground: &flat.ground, tint: None, estimates: false };
+    let model = FLAT.compile_visual().unwrap();
+    let view = RobotView::new("compliant", &model, &FLAT);
     let record = || {
         let mut recorder = Recorder::new(Sink::File("/dev/full".into()), "test", &[view])?;
         recorder.frame(0, &frame(&model, 0.0))?;
         recorder.finish()
     };
     let error = record().unwrap_err();
-    assert!(matches!(error, RecordError::Write { .. } | RecordError::Rerun(_)), "{error}");
+    assert!(matches!(error, RecordError::Write(..) | RecordError::Rerun(_)), "{error}");
 }
 
 #[test]
 fn a_viewer_that_stopped_reading_is_an_error_and_not_a_wait_without_end() {
     let deaf = TcpListener::bind("127.0.0.1:0").unwrap();
     let url = format!("rerun+http://{}/proxy", deaf.local_addr().unwrap());
-    let flat = Scene::flat(Robot::load("go1").unwrap(), 1.0 / 240.0);
-    let model = flat.compile_visual().unwrap();
-    let view = RobotView { name: "compliant", model: &model, ground: &flat.ground, tint: None, estimates: false };
+    let model = FLAT.compile_visual().unwrap();
+    let view = RobotView::new("compliant", &model, &FLAT);
     let start = Instant::now();
     let record = || {
         let mut recorder = Recorder::new(Sink::Connect(Some(url)), "test", &[view])?;
@@ -216,7 +201,7 @@ fn a_viewer_that_stopped_reading_is_an_error_and_not_a_wait_without_end() {
         recorder.finish()
     };
     let error = record().unwrap_err();
-    assert!(matches!(error, RecordError::Write { .. } | RecordError::Viewer { .. }), "{error}");
+    assert!(matches!(error, RecordError::Write(..) | RecordError::Viewer(..)), "{error}");
     assert!(start.elapsed() < Duration::from_secs(30), "{:?}", start.elapsed());
 }
 
@@ -224,9 +209,8 @@ fn a_viewer_that_stopped_reading_is_an_error_and_not_a_wait_without_end() {
 fn live_recording_stays_as_large_as_it_began() {
     let scene = scene(Ground::Flat);
     let model = scene.compile_visual().unwrap();
-    let view =
-        RobotView { name: "compliant", model: &model, ground: &scene.ground, tint: Some(BLUE), estimates: false };
-    let mut recorder = Recorder::live(LiveSink::Memory, "test", &[view]).unwrap();
+    let view = RobotView { tint: Some(BLUE), ..RobotView::new("compliant", &model, &scene) };
+    let mut recorder = Recorder::live(Sink::Memory, "test", &[view]).unwrap();
     let (mut sent, mut chunks) = (Vec::new(), Vec::new());
     for step in 0_u16..240 {
         let mut frame = frame(&model, f64::from(step) / 60.0);

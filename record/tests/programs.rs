@@ -3,26 +3,35 @@
 #[path = "../../tests/it/support.rs"]
 mod support;
 
+use std::path::Path;
 use std::process::{Command, Stdio};
 
 use serde_json::{Value, json};
 use supple::scenario::session::{Act, AgentCache, Input, LiveSession, PushUnit, SceneKind, Setup, Writer};
 use support::{complaint, example, program, robot, run, standing_policy};
 
-#[test]
-fn a_closed_pipe_is_neither_a_panic_nor_an_error() {
+/// Plays a scenario in a folder, and returns its one JSON object.
+fn play(folder: &Path, arguments: &[&str]) -> Value {
+    let output = run("scenario", folder, &[arguments, &["--json"]].concat());
+    assert!(output.status.success(), "{arguments:?}: {}", complaint(&output));
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+/// A folder with a policy that stands, `p.safetensors`.
+fn with_policy() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     standing_policy().save(&folder.path().join("p.safetensors")).unwrap();
+    folder
+}
+
+#[test]
+fn a_closed_pipe_is_neither_a_panic_nor_an_error() {
+    let folder = with_policy();
     let scenario: &[&str] = &["walk", "--policy", "p.safetensors", "--duration-s", "0.2", "--no-record", "--json"];
-    let cases = [(program("scenario"), scenario), (program("scenario"), &["list"])];
-    for (program, arguments) in cases {
-        let mut child = Command::new(program)
-            .args(arguments)
-            .current_dir(folder.path())
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .spawn()
-            .unwrap();
+    for arguments in [scenario, &["list"]] {
+        let mut command = Command::new(program("scenario"));
+        command.args(arguments).current_dir(folder.path()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        let mut child = command.spawn().unwrap();
         drop(child.stdout.take());
         let output = child.wait_with_output().unwrap();
         assert!(output.status.success(), "{arguments:?}: {}", complaint(&output));
@@ -41,8 +50,7 @@ fn a_standard_output_that_is_full_is_an_error() {
 
 #[test]
 fn recording_or_not_and_the_same_seed_twice_give_the_same_bits() {
-    let folder = tempfile::tempdir().unwrap();
-    standing_policy().save(&folder.path().join("p.safetensors")).unwrap();
+    let folder = with_policy();
     let play = |csv: &str, recording: &[&str]| {
         let line = ["push", "--policy", "p.safetensors", "--duration-s", "2", "--at-s", "0.5", "--json", "--csv", csv];
         let output = run("scenario", folder.path(), &[&line[..], recording].concat());
@@ -58,7 +66,7 @@ fn recording_or_not_and_the_same_seed_twice_give_the_same_bits() {
 }
 
 /// Plays a session and saves it in a file.
-fn keep(inputs: &[(u64, Input)], until: u64, path: &std::path::Path) {
+fn keep(inputs: &[(u64, Input)], until: u64, path: &Path) {
     let mut shelf = AgentCache::default();
     let robots = vec![shelf.find("baseline", None).unwrap()];
     let setup = Setup { scene: SceneKind::Flat, seed: 0, robots };
@@ -87,9 +95,7 @@ fn a_session_is_measured_before_and_after_its_robot_is_told_to_yield() {
         (1920, Input::Act(Act::Hand(None))),
     ];
     keep(&inputs, 2160, &path);
-    let output = run("scenario", folder.path(), &["session", "kept.jsonl", "--json"]);
-    assert!(output.status.success(), "{}", complaint(&output));
-    let measured: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let measured = play(folder.path(), &["session", "kept.jsonl"]);
     let of = |name: &str| [0, 1].map(|run| measured["runs"][run]["metrics"][name].clone());
     assert_eq!(measured["runs"].as_array().unwrap().len(), 2);
     assert_eq!([0, 1].map(|run| measured["runs"][run]["compliance"].clone()), [json!(null), json!(0.03)]);
@@ -99,20 +105,20 @@ fn a_session_is_measured_before_and_after_its_robot_is_told_to_yield() {
     // Changed by hand, it ends elsewhere.
     let text = std::fs::read_to_string(&path).unwrap();
     std::fs::write(&path, text.replace("[0.0,0.5]", "[0.0,0.6]")).unwrap();
-    let output = run("scenario", folder.path(), &["session", "kept.jsonl"]);
-    assert!(complaint(&output).contains("the final state differs from the original"), "{}", complaint(&output));
-    let output = run("scenario", folder.path(), &["--policy", "baseline", "session", "kept.jsonl"]);
-    assert!(complaint(&output).contains("its own policies"), "{}", complaint(&output));
+    for (arguments, words) in [
+        (&["session", "kept.jsonl"][..], "the final state differs from the original"),
+        (&["--policy", "baseline", "session", "kept.jsonl"], "its own policies"),
+    ] {
+        let told = complaint(&run("scenario", folder.path(), arguments));
+        assert!(told.contains(words), "{told}");
+    }
 }
 
 #[test]
 fn scenario_prints_one_json_object_and_nothing_else() {
-    let folder = tempfile::tempdir().unwrap();
-    standing_policy().save(&folder.path().join("standing.safetensors")).unwrap();
-    let arguments = ["push", "--policy", "standing.safetensors", "--push-m-s", "0.1", "--json", "--csv", "t.csv"];
-    let output = run("scenario", folder.path(), &arguments);
-    assert!(output.status.success(), "{}", complaint(&output));
-    let object: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let folder = with_policy();
+    let arguments = ["push", "--policy", "p.safetensors", "--push-m-s", "0.1", "--csv", "t.csv"];
+    let object = play(folder.path(), &arguments);
     assert_eq!(object["scenario"], "push");
     assert_eq!(object["parameters"]["push_m_s"], 0.1);
     assert!(object["runs"][0]["metrics"]["decay_10_s"].is_number(), "{object}");
@@ -122,34 +128,28 @@ fn scenario_prints_one_json_object_and_nothing_else() {
 
 #[test]
 fn scenario_tells_how_good_the_estimates_of_a_robot_on_sensors_are() {
-    let folder = tempfile::tempdir().unwrap();
-    standing_policy().save(&folder.path().join("standing.safetensors")).unwrap();
-    let walk = ["walk", "--policy", "standing.safetensors", "--duration-s", "1", "--json", "--no-record"];
-    let play = |sensing: &str| -> Value {
-        let output = run("scenario", folder.path(), &[&walk[..], &["--sensing", sensing]].concat());
-        assert!(output.status.success(), "{}", complaint(&output));
-        serde_json::from_slice(&output.stdout).unwrap()
+    let folder = with_policy();
+    let walk = ["walk", "--policy", "p.safetensors", "--duration-s", "1", "--no-record", "--csv", "t.csv", "--sensing"];
+    // The result, and two cells of the last row of the CSV.
+    let play = |sensing: &str| {
+        let object = play(folder.path(), &[&walk[..], &[sensing]].concat());
+        let text = std::fs::read_to_string(folder.path().join("t.csv")).unwrap();
+        let rows: Vec<Vec<&str>> = text.lines().map(|row| row.split(',').collect()).collect();
+        let last = &rows[rows.len() - 1];
+        assert_eq!(last.len(), rows[0].len());
+        let cell = |name: &str| last[rows[0].iter().position(|found| *found == name).unwrap()].to_owned();
+        (object, ["height_m", "estimated_height_m"].map(cell))
     };
-    let (truth, estimated) = (play("true"), play("estimated"));
+    let ((truth, true_heights), (estimated, heights)) = (play("true"), play("estimated"));
     assert_eq!((&truth["sensing"], &estimated["sensing"]), (&"true".into(), &"estimated".into()));
     assert_eq!(truth["runs"][0]["metrics"]["contact_f1"], Value::Null);
     for name in ["estimate_velocity_rmse_m_s", "estimate_height_rmse_m", "estimate_drift_m", "contact_f1"] {
         assert!(estimated["runs"][0]["metrics"][name].is_number(), "{name}: {estimated}");
     }
     // The estimates stand beside the truth in the CSV, which has none without sensors.
-    let last_row = |sensing: &str| -> Vec<String> {
-        let arguments = [&walk[..], &["--sensing", sensing, "--csv", "t.csv"]].concat();
-        assert!(run("scenario", folder.path(), &arguments).status.success());
-        let text = std::fs::read_to_string(folder.path().join("t.csv")).unwrap();
-        let rows: Vec<&str> = text.lines().collect();
-        let row: Vec<String> = rows[rows.len() - 1].split(',').map(ToOwned::to_owned).collect();
-        assert_eq!(row.len(), rows[0].split(',').count());
-        let column = |name: &str| rows[0].split(',').position(|found| found == name).unwrap();
-        ["height_m", "estimated_height_m"].map(|name| row[column(name)].clone()).into()
-    };
-    let heights: Vec<f64> = last_row("estimated").iter().map(|cell| cell.parse().unwrap()).collect();
+    let heights = heights.map(|cell| cell.parse::<f64>().unwrap());
     assert!(heights[0] != heights[1] && (heights[0] - heights[1]).abs() < 0.01, "{heights:?}");
-    assert_eq!(last_row("true")[1], "");
+    assert_eq!(true_heights[1], "");
     // A standing robot knows that it stands.
     assert!(estimated["runs"][0]["metrics"]["estimate_velocity_rmse_m_s"].as_f64().unwrap() < 0.05);
 }
@@ -157,11 +157,9 @@ fn scenario_tells_how_good_the_estimates_of_a_robot_on_sensors_are() {
 #[test]
 fn a_policy_that_is_told_how_far_to_yield_does() {
     let folder = tempfile::tempdir().unwrap();
-    let line = ["leash", "--policy", "baseline", "--force-n", "12", "--duration-s", "8", "--no-record", "--json"];
+    let line = ["leash", "--policy", "baseline", "--force-n", "12", "--duration-s", "8", "--no-record"];
     for compliance in ["0.008", "0.03"] {
-        let output = run("scenario", folder.path(), &[&line[..], &["--compliance", compliance]].concat());
-        assert!(output.status.success(), "{}", complaint(&output));
-        let json: Value = serde_json::from_slice(&output.stdout).unwrap();
+        let json = play(folder.path(), &[&line[..], &["--compliance", compliance]].concat());
         let found = json["runs"][0]["metrics"]["leash_offset_m_s"].as_f64().unwrap();
         // To a side, a policy may be off by some hundredths undisturbed.
         let expected = 12.0 * compliance.parse::<f64>().unwrap();
@@ -171,9 +169,7 @@ fn a_policy_that_is_told_how_far_to_yield_does() {
 
 #[test]
 fn scenario_refuses_bad_input_with_exit_code_2() {
-    let folder = tempfile::tempdir().unwrap();
-    let policy = standing_policy();
-    policy.save(&folder.path().join("standing.safetensors")).unwrap();
+    let (folder, policy) = (with_policy(), standing_policy());
     let bytes = policy.to_bytes().unwrap();
     std::fs::write(folder.path().join("cut.safetensors"), &bytes[..bytes.len() / 2]).unwrap();
     std::fs::write(folder.path().join("odd.yaml"), "push_m_ss: 1\n").unwrap();
@@ -187,22 +183,19 @@ fn scenario_refuses_bad_input_with_exit_code_2() {
         (&["push", "--policy", "nobody"], "there is no policy 'nobody'"),
         (&["push", "--policy", "cut.safetensors"], "was it cut off"),
         (&["push", "--policy", "other.safetensors"], "should have shape [12], but has shape [11]"),
-        (&["push", "--policy", "standing.safetensors", "--push-m-s", "-1"], "--push-m-s is -1, expected 0 to 20 m/s"),
-        (&["box", "--policy", "standing.safetensors", "--mass-kg", "0"], "--mass-kg is 0, expected 0.001"),
-        (&["push", "--policy", "standing.safetensors", "--params", "odd.yaml"], "no parameter 'push_m_ss'"),
+        (&["push", "--policy", "p.safetensors", "--push-m-s", "-1"], "--push-m-s is -1, expected 0 to 20 m/s"),
+        (&["box", "--policy", "p.safetensors", "--mass-kg", "0"], "--mass-kg is 0, expected 0.001"),
+        (&["push", "--policy", "p.safetensors", "--params", "odd.yaml"], "no parameter 'push_m_ss'"),
         (
-            &["push", "--policy", "standing.safetensors", "--params", "hard.yaml"],
+            &["push", "--policy", "p.safetensors", "--params", "hard.yaml"],
             "with the parameters of hard.yaml: --push-m-s is 30, expected 0 to 20 m/s",
         ),
-        (&["walk", "--policy", "standing.safetensors", "--duration-s", "NaN"], "--duration-s is NaN"),
-        (&["walk", "--policy", "standing.safetensors", "--compliance", "0.02"], "run `policy calibrate`"),
+        (&["walk", "--policy", "p.safetensors", "--duration-s", "NaN"], "--duration-s is NaN"),
+        (&["walk", "--policy", "p.safetensors", "--compliance", "0.02"], "run `policy calibrate`"),
         (&["walk", "--policy", "baseline", "--compliance", "0.5"], "baseline: compliance 0.5"),
         (&["walk", "--policy", "compliant", "--compare", "baseline@0.5"], "baseline@0.5: compliance 0.5"),
         (&["walk", "--policy", "baseline@-1"], "baseline@-1: compliance -1"),
-        (
-            &["terrain", "--policy", "standing.safetensors", "--duration-s", "100"],
-            "--duration-s is 100, expected a way",
-        ),
+        (&["terrain", "--policy", "p.safetensors", "--duration-s", "100"], "--duration-s is 100, expected a way"),
     ];
     for (arguments, expected) in cases {
         let output = run("scenario", folder.path(), arguments);
@@ -218,10 +211,8 @@ fn rsl_rl_and_playground_examples_are_played() {
     let folder = tempfile::tempdir().unwrap();
     for name in ["rsl_rl", "playground"] {
         example(folder.path(), name);
-        let arguments = ["push", "--policy", &format!("{name}.yaml"), "--duration-s", "1", "--json", "--no-record"];
-        let output = run("scenario", folder.path(), &arguments);
-        assert!(output.status.success(), "{}", complaint(&output));
-        let object: Value = serde_json::from_slice(&output.stdout).unwrap();
+        let policy = format!("{name}.yaml");
+        let object = play(folder.path(), &["push", "--policy", &policy, "--duration-s", "1", "--no-record"]);
         assert_eq!(object["runs"][0]["policy"], name);
         assert_eq!(object["runs"][0]["sha256"].as_str().unwrap().len(), 64);
     }
@@ -305,10 +296,7 @@ fn unfit_policies_and_robots_are_refused_in_one_line() {
 fn numbers_end_with_the_fall_and_what_is_undefined_has_a_reason() {
     let folder = tempfile::tempdir().unwrap();
     let play = |more: &[&str]| {
-        let arguments = [&["push", "--policy", "compliant", "--no-record", "--json"], more].concat();
-        let output = run("scenario", folder.path(), &arguments);
-        assert!(output.status.success(), "{}", complaint(&output));
-        serde_json::from_slice::<Value>(&output.stdout).unwrap()["runs"][0].clone()
+        play(folder.path(), &[&["push", "--policy", "compliant", "--no-record"], more].concat())["runs"][0].clone()
     };
     let fallen = play(&["--push-m-s", "6"]);
     let (metrics, undefined) = (&fallen["metrics"], &fallen["undefined"]);
@@ -331,10 +319,8 @@ fn numbers_end_with_the_fall_and_what_is_undefined_has_a_reason() {
 fn seeds_give_means_and_spread_of_the_numbers_that_each_gives_alone() {
     let folder = tempfile::tempdir().unwrap();
     let play = |more: &[&str]| {
-        let base = ["push", "--policy", "compliant", "--duration-s", "4", "--json"];
-        let output = run("scenario", folder.path(), &[&base, more].concat());
-        assert!(output.status.success(), "{}", complaint(&output));
-        serde_json::from_slice::<Value>(&output.stdout).unwrap()["runs"][0]["metrics"].clone()
+        let base = ["push", "--policy", "compliant", "--duration-s", "4"];
+        play(folder.path(), &[&base, more].concat())["runs"][0]["metrics"].clone()
     };
     let all = play(&["--seeds", "3..4"]);
     let alone = ["3", "4"].map(|seed| play(&["--no-record", "--seed", seed])["push_time_s"].as_f64().unwrap());
@@ -374,7 +360,7 @@ fn recording_with_another_ending_is_refused() {
 #[test]
 fn csv_quotes_the_name_of_a_policy() {
     let folder = tempfile::tempdir().unwrap();
-    let shipped = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../policies/compliant-seed0.safetensors");
+    let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("../policies/compliant-seed0.safetensors");
     std::fs::copy(shipped, folder.path().join("a,b.safetensors")).unwrap();
     let arguments = ["walk", "--policy", "a,b.safetensors", "--duration-s", "0.1", "--no-record", "--csv", "-"];
     let output = run("scenario", folder.path(), &arguments);

@@ -24,9 +24,8 @@ type Decode = fn(&[u8]) -> Vec<Picture>;
 
 /// Plays a scenario with a video; `None` after a note where no picture can be drawn.
 fn film(folder: &Path, name: &str) -> Option<Vec<u8>> {
-    let line =
-        ["push", "--at-s", "0", "--duration-s", "0.3", "--no-record", "--video-size", "480x270", "--video", name];
-    let output = run("scenario", folder, &line);
+    let line = ["push", "--at-s", "0", "--duration-s", "0.3", "--no-record", "--video-size", "480x270", "--video"];
+    let output = run("scenario", folder, &[&line[..], &[name]].concat());
     let words = complaint(&output);
     if words.contains("apt-get install libegl1") {
         println!("skipped: {words}");

@@ -12,5 +12,7 @@ pub mod dds;
 pub mod lockstep;
 pub mod message;
 pub mod motor;
-pub mod remote;
+mod remote;
 pub mod serve;
+
+pub use remote::FullSticks;

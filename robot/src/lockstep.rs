@@ -10,16 +10,13 @@ use supple::robot::GRAVITY_M_S2;
 use supple::scenario::catalog::Scenario;
 use supple::scenario::metrics::Metric;
 use supple::scenario::trace::{Event, Frame, Trace};
+use supple::task::Command;
 
 use crate::bridge::log::Row;
-use crate::bridge::orders::Order;
 use crate::bridge::phase::Phase;
 use crate::bridge::reading::Reading;
-use crate::bridge::safety::Limits;
-use crate::bridge::{Bridge, BridgeError};
-use crate::dds::WriterId;
+use crate::bridge::{Bridge, Order};
 use crate::message::LowCmd;
-use crate::serve::ServeError;
 use crate::serve::body::{Body, FRAME_S, STATE_HZ, configuration};
 use crate::serve::judge::Judge;
 use crate::serve::operator::Operator;
@@ -27,19 +24,7 @@ use crate::serve::operator::Operator;
 /// Time in which the robot has to stand \[s\].
 const STAND_S: f64 = 12.0;
 
-/// The reason why a rehearsal does not start.
-#[derive(Debug, thiserror::Error)]
-pub enum RehearsalError {
-    /// The robot's side.
-    #[error(transparent)]
-    Serve(#[from] ServeError),
-    /// The policy's side.
-    #[error(transparent)]
-    Bridge(#[from] BridgeError),
-}
-
 /// The outcome of a rehearsal.
-#[derive(Debug)]
 pub struct Rehearsal {
     /// Metrics of the scenario.
     pub metrics: Vec<Metric>,
@@ -63,17 +48,15 @@ pub fn rehearse(
     seed: u64,
     compliance: Option<f64>,
     physics_hz: u32,
-) -> Result<Rehearsal, RehearsalError> {
-    ServeError::check_physics_rate(physics_hz)?;
-    let config = configuration(Config::load("go2").map_err(ServeError::from)?, physics_hz);
-    let script = scenario.script(seed, &config).map_err(ServeError::from)?;
+) -> anyhow::Result<Rehearsal> {
+    let config = configuration(Config::load("go2")?, physics_hz)?;
+    let script = scenario.script(seed, &config)?;
     let robot = Arc::clone(&script.scene.robot);
-    let mut body = Body::new(script.clone(), config, Some(SensorNoise::default()), seed).map_err(ServeError::from)?;
+    let mut body = Body::new(script.clone(), config, Some(SensorNoise::default()), seed)?;
     let mut judge = Judge::new(robot.joint_limits, false);
-    let mut bridge = Bridge::new(agent, Limits::default(), None)?;
+    let mut bridge = Bridge::new(agent, None)?;
     if compliance.is_some() {
-        let command = supple::task::Command { compliance, ..Default::default() };
-        bridge.order(&Order::Command(command), 0.0);
+        bridge.order(&Order::Command(Command { compliance, ..Command::default() }), 0.0);
     }
     let standing_m = robot.standing_height_m(&robot.nominal_pose);
     let mut operator = Operator::new(&script.command, bridge.full_sticks(), standing_m);
@@ -81,7 +64,7 @@ pub fn rehearse(
     let (mut notes, mut log, mut has_begun) = (Vec::new(), Vec::new(), false);
     for tick in 0_u64.. {
         let now_s = tick as f64 / f64::from(STATE_HZ);
-        let (remote, begins) = operator.act(&body.sight(now_s, !judge.is_silent()));
+        let (remote, begins) = operator.act(&body.sight(now_s, !judge.is_silent));
         if begins {
             body.begin();
             has_begun = true;
@@ -89,24 +72,24 @@ pub fn rehearse(
         if let Ok(reading) = Reading::new(&body.state(remote)) {
             bridge.take(reading, now_s);
         }
-        notes.extend(bridge.notes().into_iter().map(|note| format!("{now_s:.3} s: {note}")));
+        notes.extend(bridge.notes.drain(..).map(|note| format!("{now_s:.3} s: {note}")));
         if let Some(row) = bridge.row(now_s) {
-            log.push((bridge.phase().name(), row));
+            log.push((bridge.phase.name(), row));
         }
-        judge.take(&LowCmd::of_motors(&bridge.output().motors), WriterId::of_bytes([1; 16]), now_s, true);
-        body.command(judge.motors());
+        judge.take(&LowCmd::of_motors(&bridge.output.motors), [1; 16], now_s, true);
+        body.command(&judge.motors);
         let played = body.tick();
         if has_begun {
             trace.frames.extend(played.frame.map(|frame| Frame { bodies: Vec::new(), ..frame }));
             trace.events.extend(played.events);
         }
-        let gives_up = !has_begun && (now_s > STAND_S || matches!(bridge.phase(), Phase::Damped(_)));
+        let gives_up = !has_begun && (now_s > STAND_S || matches!(bridge.phase, Phase::Damped(_)));
         if played.is_over || gives_up {
             break;
         }
     }
     let metrics = if has_begun { scenario.metrics(&script, &trace) } else { Vec::new() };
-    Ok(Rehearsal { metrics, events: trace.events, complaints: judge.counts().values().sum(), notes, log })
+    Ok(Rehearsal { metrics, events: trace.events, complaints: judge.counts.values().sum(), notes, log })
 }
 
 #[cfg(test)]

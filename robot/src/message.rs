@@ -6,7 +6,7 @@ hip, thigh, calf), which is Unitree's; entries 12 to 19 of the motors are unused
 */
 
 use dust_dds::infrastructure::type_support::DdsType;
-use supple::robot::JOINTS;
+use supple::robot::{JOINTS, Joints};
 
 /// Number of entries for motors in a message, of which the Go2 uses the first 12.
 pub const MOTORS: usize = 20;
@@ -123,13 +123,14 @@ impl<T: Field, const N: usize> Field for [T; N] {
     }
 }
 
-macro_rules! message {
-    ($(#[$about:meta])* $name:ident = $dds:literal, align $align:literal
-     { $($(#[$doc:meta])* $field:ident: $t:ty),* $(,)? }) => {
+/// Defines messages by their DDS names and their alignment in C \[bytes\].
+macro_rules! messages {
+    ($($(#[$about:meta])* $name:ident = $dds:literal, align $align:literal { $($field:ident: $t:ty),* $(,)? })*) => {$(
         $(#[$about])*
         #[derive(DdsType, Debug, Clone, PartialEq)]
         #[dust_dds(name = $dds)]
-        pub struct $name { $($(#[$doc])* pub $field: $t),* }
+        #[allow(missing_docs)] // what the fields are stands beside them
+        pub struct $name { $(pub $field: $t),* }
         impl Field for $name {
             const ALIGN: usize = $align;
             fn zero() -> Self {
@@ -157,182 +158,106 @@ macro_rules! message {
             /// Name of the DDS type.
             pub const TYPE: &str = $dds;
         }
-    };
+    )*};
 }
 
-message! {
+messages! {
     /// The command to one motor: torque = `tau + kp (q − angle) + kd (dq − rate)`.
     MotorCmd = "unitree_go::msg::dds_::MotorCmd_", align 4 {
-        /// 1 to obey, 0 to switch the motor off.
-        mode: u8,
-        /// Joint target \[rad\], or [`POS_STOP`].
-        q: f32,
-        /// Joint rate target [rad/s], or [`VEL_STOP`].
-        dq: f32,
-        /// Additional torque [N·m].
-        tau: f32,
-        /// Proportional gain [N·m/rad].
-        kp: f32,
-        /// Derivative gain [N·m·s/rad].
-        kd: f32,
-        /// Unused.
+        mode: u8,               // 1 to obey, 0 to switch the motor off
+        q: f32,                 // joint target [rad], or POS_STOP
+        dq: f32,                // joint rate target [rad/s], or VEL_STOP
+        tau: f32,               // additional torque [N·m]
+        kp: f32,                // proportional gain [N·m/rad]
+        kd: f32,                // derivative gain [N·m·s/rad]
         reserve: [u32; 3],
     }
-}
-message! {
+
     /// The command to the battery.
     BmsCmd = "unitree_go::msg::dds_::BmsCmd_", align 1 {
-        /// 0xA5 switches the battery off.
-        off: u8,
-        /// Unused.
+        off: u8,                // 0xA5 switches the battery off
         reserve: [u8; 3],
     }
-}
-message! {
+
     /// A command to all motors, on the topic `rt/lowcmd`.
     LowCmd = "unitree_go::msg::dds_::LowCmd_", align 4 {
-        /// [`HEAD`].
-        head: [u8; 2],
-        /// [`LOW_LEVEL`].
-        level_flag: u8,
-        /// Unused.
+        head: [u8; 2],          // HEAD
+        level_flag: u8,         // LOW_LEVEL
         frame_reserve: u8,
-        /// Serial number.
-        sn: [u32; 2],
-        /// Version.
+        sn: [u32; 2],           // serial number
         version: [u32; 2],
-        /// Bandwidth.
         bandwidth: u16,
-        /// The commands to the motors.
         motor_cmd: [MotorCmd; 20],
-        /// The command to the battery.
         bms_cmd: BmsCmd,
-        /// Bytes for the remote.
         wireless_remote: [u8; 40],
-        /// Lights.
-        led: [u8; 12],
-        /// Fans.
+        led: [u8; 12],          // lights
         fan: [u8; 2],
-        /// Pins.
         gpio: u8,
-        /// Unused.
         reserve: u32,
-        /// The checksum, see [`crc`].
-        crc: u32,
+        crc: u32,               // the checksum, see `crc`
     }
-}
-message! {
+
     /// The reading of the IMU.
     ImuState = "unitree_go::msg::dds_::IMUState_", align 4 {
-        /// Orientation, world from IMU (w, x, y, z).
-        quaternion: [f32; 4],
-        /// Angular velocity, base frame [rad/s].
-        gyroscope: [f32; 3],
-        /// Specific force, base frame [m/s²]; about +9.81 along z at rest.
-        accelerometer: [f32; 3],
-        /// Roll, pitch, yaw \[rad\].
-        rpy: [f32; 3],
-        /// Temperature \[°C\].
-        temperature: u8,
+        quaternion: [f32; 4],   // orientation, world from IMU (w, x, y, z)
+        gyroscope: [f32; 3],    // angular velocity, base frame [rad/s]
+        accelerometer: [f32; 3], // specific force, base frame [m/s²]; about +9.81 along z at rest
+        rpy: [f32; 3],          // roll, pitch, yaw [rad]
+        temperature: u8,        // [°C]
     }
-}
-message! {
+
     /// The state of one motor.
     MotorState = "unitree_go::msg::dds_::MotorState_", align 4 {
-        /// The mode in which the motor is.
         mode: u8,
-        /// Joint angle \[rad\].
-        q: f32,
-        /// Joint rate [rad/s].
-        dq: f32,
-        /// Joint acceleration [rad/s²].
-        ddq: f32,
-        /// Estimated torque [N·m].
-        tau_est: f32,
-        /// Unfiltered joint angle \[rad\].
-        q_raw: f32,
-        /// Unfiltered joint rate [rad/s].
+        q: f32,                 // joint angle [rad]
+        dq: f32,                // joint rate [rad/s]
+        ddq: f32,               // joint acceleration [rad/s²]
+        tau_est: f32,           // estimated torque [N·m]
+        q_raw: f32,             // the same, not filtered
         dq_raw: f32,
-        /// Unfiltered joint acceleration [rad/s²].
         ddq_raw: f32,
-        /// Temperature of the winding \[°C\].
-        temperature: u8,
-        /// Number of lost packets between computer and motor.
-        lost: u32,
-        /// Unused.
+        temperature: u8,        // of the winding [°C]
+        lost: u32,              // number of lost packets between computer and motor
         reserve: [u32; 2],
     }
-}
-message! {
+
     /// The state of the battery.
     BmsState = "unitree_go::msg::dds_::BmsState_", align 4 {
-        /// Major version.
         version_high: u8,
-        /// Minor version.
         version_low: u8,
-        /// Status.
         status: u8,
-        /// State of charge \[%\].
-        soc: u8,
-        /// Current \[mA\]; negative while it is discharged.
-        current: i32,
-        /// Number of charging cycles.
-        cycle: u16,
-        /// Temperatures of the battery \[°C\].
-        bq_ntc: [u8; 2],
-        /// Temperatures of its electronics \[°C\].
-        mcu_ntc: [u8; 2],
-        /// Voltages of the cells \[mV\].
-        cell_vol: [u16; 15],
+        soc: u8,                // state of charge [%]
+        current: i32,           // [mA]; negative while it is discharged
+        cycle: u16,             // number of charging cycles
+        bq_ntc: [u8; 2],        // temperatures of the battery [°C]
+        mcu_ntc: [u8; 2],       // temperatures of its electronics [°C]
+        cell_vol: [u16; 15],    // voltages of the cells [mV]
     }
-}
-message! {
+
     /// The state of the robot, on the topic `rt/lowstate` at 500 Hz.
     LowState = "unitree_go::msg::dds_::LowState_", align 4 {
-        /// [`HEAD`].
-        head: [u8; 2],
-        /// [`LOW_LEVEL`].
-        level_flag: u8,
-        /// Unused.
+        head: [u8; 2],          // HEAD
+        level_flag: u8,         // LOW_LEVEL
         frame_reserve: u8,
-        /// Serial number.
-        sn: [u32; 2],
-        /// Version.
+        sn: [u32; 2],           // serial number
         version: [u32; 2],
-        /// Bandwidth.
         bandwidth: u16,
-        /// The IMU.
         imu_state: ImuState,
-        /// The motors.
         motor_state: [MotorState; 20],
-        /// The battery.
         bms_state: BmsState,
-        /// Forces of the feet, FR FL RR RL, in units of the sensor.
-        foot_force: [i16; 4],
-        /// Estimated forces of the feet.
+        foot_force: [i16; 4],   // FR FL RR RL, in units of the sensor
         foot_force_est: [i16; 4],
-        /// Clock of the robot \[ms\].
-        tick: u32,
-        /// The state of the remote, see [`Remote`](crate::remote::Remote).
-        wireless_remote: [u8; 40],
-        /// Flags.
+        tick: u32,              // clock of the robot [ms]
+        wireless_remote: [u8; 40], // see `Remote`
         bit_flag: u8,
-        /// Voltage of a line.
         adc_reel: f32,
-        /// Temperature \[°C\].
-        temperature_ntc1: u8,
-        /// Temperature \[°C\].
-        temperature_ntc2: u8,
-        /// Voltage of the battery \[V\].
-        power_v: f32,
-        /// Current of the battery \[A\].
-        power_a: f32,
-        /// Frequencies of the fans.
+        temperature_ntc1: u8,   // [°C]
+        temperature_ntc2: u8,   // [°C]
+        power_v: f32,           // of the battery [V]
+        power_a: f32,           // of the battery [A]
         fan_frequency: [u16; 4],
-        /// Unused.
         reserve: u32,
-        /// The checksum, see [`crc`].
-        crc: u32,
+        crc: u32,               // the checksum, see `crc`
     }
 }
 
@@ -365,15 +290,17 @@ const TABLE: [u32; 256] = {
     table
 };
 
-/// Fills every field from a generator that a peer in another language can repeat (see `scripts/check_go2`). Even seeds keep
-/// the top bit of bytes and half-words clear, which the vendor's own checksum helper needs.
-pub fn fill(frame: &mut impl Field, seed: u32) {
-    let mut x = seed.wrapping_mul(2_654_435_761) ^ 0x9E37_79B9;
+/// Returns a frame whose fields are all filled from a generator that a peer in another language can repeat (see `scripts/check_go2`).
+/// Even seeds keep the top bit of bytes and half-words clear, which the vendor's own checksum helper needs.
+#[cfg(test)]
+pub(crate) fn filled<T: Field>(seed: u32) -> T {
+    let (mut frame, mut x) = (T::zero(), seed.wrapping_mul(2_654_435_761) ^ 0x9E37_79B9);
     frame.fill(&mut || {
         x = x.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
         let y = x ^ (x >> 15);
         if seed.is_multiple_of(2) { y & 0x7F7F_7F7F } else { y }
     });
+    frame
 }
 
 impl LowCmd {
@@ -392,6 +319,11 @@ impl LowCmd {
 }
 
 impl LowState {
+    /// Returns a value of each of the Go2's motors.
+    pub fn of_motors(&self, value: impl Fn(&MotorState) -> f32) -> Joints {
+        std::array::from_fn(|joint| f64::from(value(&self.motor_state[joint])))
+    }
+
     /// Returns the state with its checksum.
     pub fn sealed(self) -> Self {
         LowState { crc: crc(&self), ..self }
@@ -415,10 +347,7 @@ pub(crate) mod tests {
         // What the vendor's library gives for the same frames: `scripts/check_go2 crc`.
         let golden = [(0, 0x4B39_D8AB, 0x7BE8_6F5B), (2, 0x2FE7_E9D4, 0x0308_DF78), (4, 0x3A30_71CA, 0x1A27_0C51)];
         for (seed, of_command, of_state) in golden {
-            let (mut command, mut state) = (LowCmd::zero(), LowState::zero());
-            fill(&mut command, seed);
-            fill(&mut state, seed);
-            assert_eq!((crc(&command), crc(&state)), (of_command, of_state));
+            assert_eq!((crc(&filled::<LowCmd>(seed)), crc(&filled::<LowState>(seed))), (of_command, of_state));
         }
     }
 
@@ -432,15 +361,11 @@ pub(crate) mod tests {
     #[test]
     fn cdr_is_the_vendors_on_filled_frames() {
         // FNV-1a of what the vendor's library writes: `scripts/check_go2 crc`.
-        let fnv = |bytes: &[u8]| {
-            bytes
-                .iter()
-                .fold(0xCBF2_9CE4_8422_2325, |hash: u64, byte| (hash ^ u64::from(*byte)).wrapping_mul(0x100_0000_01B3))
-        };
+        let mix = |hash: u64, byte: &u8| (hash ^ u64::from(*byte)).wrapping_mul(0x100_0000_01B3);
+        let fnv = |bytes: &[u8]| bytes.iter().fold(0xCBF2_9CE4_8422_2325, mix);
         let golden = [(0, 0xB381_73BD_27DD_570C), (2, 0xB094_FA61_C1A6_DA65), (4, 0x8B5E_E262_C260_3A34)];
         for (seed, of_state) in golden {
-            let mut state = LowState::zero();
-            fill(&mut state, seed);
+            let state = filled::<LowState>(seed);
             let bytes = cdr(&state);
             assert_eq!(fnv(&bytes), of_state, "{seed}");
             assert_eq!(LowState::read(&mut Cdr::new(&bytes).unwrap()), Some(state));

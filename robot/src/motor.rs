@@ -5,7 +5,7 @@ use supple::robot::{JOINTS, Joints};
 use crate::message::{Field, MotorCmd, POS_STOP, SERVO, VEL_STOP};
 
 /// Derivative gain of a robot that sinks to the ground because nothing else is wanted [N·m·s/rad].
-pub const DAMPING_KD: f32 = 3.0;
+const DAMPING_KD: f32 = 3.0;
 
 /// Values from this one on stand for [`POS_STOP`]; in single precision 2.146e9 is not exact.
 const NO_POSITION: f32 = 1e9;
@@ -51,14 +51,9 @@ mod tests {
         // 2 + 40 · (0.5 − 0.2) + 1.5 · (1 − 3) = 11
         assert!((torque(&command, 0.2, 3.0, 23.7) - 11.0).abs() < 1e-6);
         assert_eq!(torque(&command, -2.0, 0.0, 23.7), 23.7);
-        assert_eq!(torque(&MotorCmd { mode: 0, ..command }, 0.2, 3.0, 23.7), 0.0);
-    }
-
-    #[test]
-    fn stop_values_switch_their_terms_off() {
-        let command =
-            MotorCmd { mode: SERVO, q: POS_STOP, dq: VEL_STOP, kp: 40.0, kd: 1.5, tau: 1.0, ..MotorCmd::zero() };
-        assert_eq!(torque(&command, 0.2, 3.0, 23.7), 1.0);
+        assert_eq!(torque(&MotorCmd { mode: 0, ..command.clone() }, 0.2, 3.0, 23.7), 0.0);
+        // Stop values switch their terms off.
+        assert_eq!(torque(&MotorCmd { q: POS_STOP, dq: VEL_STOP, ..command }, 0.2, 3.0, 23.7), 2.0);
         assert!((torque(&damping()[0], 0.2, 2.0, 23.7) + 6.0).abs() < 1e-6);
     }
 }

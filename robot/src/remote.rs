@@ -3,22 +3,15 @@
 use supple::config::CommandRange;
 use supple::task::Command;
 
-/// Buttons of the remote, by the bit that carries them.
+/// Buttons of the remote that have a meaning, by the bit that carries them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[allow(missing_docs)] // their names are printed on them
 pub enum Button {
-    R1 = 0,
-    L1 = 1,
     Start = 2,
     Select = 3,
-    R2 = 4,
     L2 = 5,
-    F1 = 6,
-    F2 = 7,
     A = 8,
     B = 9,
     X = 10,
-    Y = 11,
 }
 
 /// Sticks and buttons of the remote.
@@ -36,17 +29,13 @@ impl Remote {
     /// Reads the bytes. Sticks that are not finite count as released.
     pub fn from_bytes(bytes: &[u8; 40]) -> Self {
         let stick = |at: usize| {
-            let value = f32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]);
+            let value = f32::from_le_bytes(std::array::from_fn(|k| bytes[at + k]));
             if value.is_finite() { value.clamp(-1.0, 1.0) } else { 0.0 }
         };
-        Remote {
-            left: [stick(4), stick(20)],
-            right: [stick(8), stick(12)],
-            buttons: u16::from_le_bytes([bytes[2], bytes[3]]),
-        }
+        let buttons = u16::from_le_bytes([bytes[2], bytes[3]]);
+        Remote { left: [stick(4), stick(20)], right: [stick(8), stick(12)], buttons }
     }
 
-    /// Writes the bytes.
     pub fn to_bytes(self) -> [u8; 40] {
         let mut bytes = [0; 40];
         (bytes[0], bytes[1]) = (0x55, 0x51);
@@ -57,7 +46,6 @@ impl Remote {
         bytes
     }
 
-    /// Returns true if a button is pressed.
     pub fn is_pressed(&self, button: Button) -> bool {
         self.buttons >> button as u16 & 1 == 1
     }
@@ -86,17 +74,15 @@ impl FullSticks {
     /// # Errors
     /// Says which part of it is beyond.
     pub fn check(&self, velocity: [f64; 3]) -> Result<(), String> {
-        let parts = [("forward", "m/s"), ("left", "m/s"), ("yaw", "rad/s")];
-        for (((name, unit), found), most) in parts.into_iter().zip(velocity).zip(self.0) {
-            if found.is_nan() || found.abs() > most + ROUNDING {
-                return Err(format!("{name} is {found:?} {unit}, expected -{most} to {most} {unit}"));
-            }
-        }
-        Ok(())
+        let parts = [("forward", "m/s"), ("left", "m/s"), ("yaw", "rad/s")].into_iter().zip(velocity).zip(self.0);
+        let beyond = |((_, found), most): &((_, f64), f64)| found.is_nan() || found.abs() > most + ROUNDING;
+        parts.filter(beyond).try_for_each(|(((name, unit), found), most)| {
+            Err(format!("{name} is {found:?} {unit}, expected -{most} to {most} {unit}"))
+        })
     }
 
     /// Returns the remote's sticks for a command: left stick forward and sideways, right stick turning.
-    pub fn remote(&self, command: &Command) -> Remote {
+    pub(crate) fn remote(&self, command: &Command) -> Remote {
         let [forward, left, yaw] = self.0;
         let stick = |value: f64, full: f64| (value / full).clamp(-1.0, 1.0) as f32;
         Remote {
@@ -106,8 +92,7 @@ impl FullSticks {
         }
     }
 
-    /// Returns the command that sticks mean.
-    pub fn command(&self, remote: &Remote) -> Command {
+    pub(crate) fn command(&self, remote: &Remote) -> Command {
         let [forward, left, yaw] = self.0;
         let [sideways, ahead] = remote.left.map(f64::from);
         Command::velocity(forward * ahead, -left * sideways, -yaw * f64::from(remote.right[0]))
@@ -143,12 +128,8 @@ mod tests {
         let read = Remote::from_bytes(&bytes);
         assert!(read.is_pressed(Button::A) && read.is_pressed(Button::Start) && !read.is_pressed(Button::B));
         assert_eq!((read.left, read.right), (remote.left, remote.right));
-    }
-
-    #[test]
-    fn stick_that_is_not_finite_counts_as_released() {
-        let mut bytes = Remote::default().to_bytes();
-        bytes[4..8].copy_from_slice(&f32::NAN.to_le_bytes());
-        assert_eq!(Remote::from_bytes(&bytes).left, [0.0, 0.0]);
+        // A stick that is not finite counts as released.
+        let broken = Remote { left: [f32::NAN, 1.0], ..Remote::default() };
+        assert_eq!(Remote::from_bytes(&broken.to_bytes()).left, [0.0, 1.0]);
     }
 }

@@ -2,7 +2,7 @@
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
-use std::process::{Child, ChildStderr, Command, Output, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
@@ -36,12 +36,8 @@ impl Program {
         command.args(arguments).stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::piped());
         let mut child = command.spawn().unwrap();
         let (sender, lines) = channel();
-        let errors: ChildStderr = child.stderr.take().unwrap();
-        std::thread::spawn(move || {
-            for line in BufReader::new(errors).lines().map_while(Result::ok) {
-                let _ = sender.send(line);
-            }
-        });
+        let errors = BufReader::new(child.stderr.take().unwrap()).lines().map_while(Result::ok);
+        std::thread::spawn(move || errors.for_each(|line| drop(sender.send(line))));
         Program { child, lines, seen: Vec::new() }
     }
 
@@ -107,9 +103,23 @@ impl Pair {
     }
 }
 
-/// Runs a program to its end.
-fn output(arguments: &[&str]) -> Output {
-    Command::new(ROBOT).args(arguments).stdin(Stdio::null()).output().unwrap()
+/// Serves a robot for some seconds; the function waits for the end, and returns what is told of the client.
+fn served(domain: &str, arguments: &[&str]) -> impl FnOnce() -> serde_json::Value + use<> {
+    let mut command = Command::new(ROBOT);
+    command.args(["serve", "--domain", domain, "--json"]).args(arguments).stdout(Stdio::piped()).stderr(Stdio::null());
+    let serve = command.spawn().unwrap();
+    || {
+        let output = serve.wait_with_output().unwrap();
+        serde_json::from_slice::<serde_json::Value>(&output.stdout).unwrap()["client"].take()
+    }
+}
+
+/// Runs a program to its end; returns its complaint.
+fn refusal(arguments: &[&str]) -> String {
+    let output = Command::new(ROBOT).args(arguments).stdin(Stdio::null()).output().unwrap();
+    let words = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(2), "{words}");
+    words
 }
 
 #[test]
@@ -141,27 +151,21 @@ fn second_bridge_is_refused() {
     let pair = Pair::start();
     let log = pair.folder.path().join("second.csv");
     let arguments = ["run", "go2/compliant", "--domain", &pair.domain, "--no-release", "--log", log.to_str().unwrap()];
-    let second = output(&arguments);
-    let words = String::from_utf8_lossy(&second.stderr);
-    assert!(second.status.code() == Some(2) && words.contains("another program writes rt/lowcmd"), "{words}");
+    let words = refusal(&arguments);
+    assert!(words.contains("another program writes rt/lowcmd"), "{words}");
 }
 
 #[test]
 fn dry_run_sends_nothing_and_shows_what_it_would_send() {
     let (domain, folder) = (domain(), tempfile::tempdir().unwrap());
     let log = folder.path().join("log.csv");
-    let serve = Command::new(ROBOT)
-        .args(["serve", "--domain", &domain, "--seconds", "6", "--json"])
-        .stdout(Stdio::piped())
-        .stderr(Stdio::null())
-        .spawn()
-        .unwrap();
+    let served = served(&domain, &["--seconds", "6"]);
     let mut bridge =
         Program::start(&["run", "go2/compliant", "--domain", &domain, "--dry-run", "--log", log.to_str().unwrap()]);
     bridge.says("dry run, passive: kp 0");
-    let served: serde_json::Value = serde_json::from_slice(&serve.wait_with_output().unwrap().stdout).unwrap();
-    assert_eq!(served["client"]["accepted"], 0);
-    assert_eq!(served["client"]["complaints"], serde_json::json!({}));
+    let client = served();
+    assert_eq!(client["accepted"], 0);
+    assert_eq!(client["complaints"], serde_json::json!({}));
 }
 
 /// Sends a standing command at 500 Hz for this time; `change` may break each, by its number.
@@ -190,12 +194,7 @@ fn second_writer_damps_the_bridge_and_is_told_by_the_robot() {
 #[test]
 fn commands_with_a_flipped_bit_are_refused_and_the_others_obeyed() {
     let domain = domain();
-    let serve = Command::new(ROBOT)
-        .args(["serve", "--domain", &domain, "--released", "--seconds", "8", "--json"])
-        .stdout(Stdio::piped())
-        .stderr(Stdio::null())
-        .spawn()
-        .unwrap();
+    let served = served(&domain, &["--released", "--seconds", "8"]);
     intrude(&domain, Duration::from_secs(3), |number, mut command| {
         if number % 10 == 9 {
             let q = &mut command.motor_cmd[number as usize % 12].q;
@@ -203,8 +202,7 @@ fn commands_with_a_flipped_bit_are_refused_and_the_others_obeyed() {
         }
         command
     });
-    let served: serde_json::Value = serde_json::from_slice(&serve.wait_with_output().unwrap().stdout).unwrap();
-    let client = &served["client"];
+    let client = served();
     let (good, bad) = (client["accepted"].as_u64().unwrap(), client["complaints"]["checksum"].as_u64().unwrap());
     // One of ten was broken.
     assert!(good > 100 && (8.0..10.0).contains(&(good as f64 / bad as f64)), "{client}");
@@ -212,9 +210,8 @@ fn commands_with_a_flipped_bit_are_refused_and_the_others_obeyed() {
 
 #[test]
 fn bridge_without_a_robot_says_so() {
-    let found = output(&["run", "go2/compliant", "--domain", &domain()]);
-    let words = String::from_utf8_lossy(&found.stderr);
-    assert!(found.status.code() == Some(2) && words.contains("no rt/lowstate"), "{words}");
+    let words = refusal(&["run", "go2/compliant", "--domain", &domain()]);
+    assert!(words.contains("no rt/lowstate"), "{words}");
 }
 
 #[test]

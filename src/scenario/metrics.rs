@@ -73,6 +73,11 @@ impl Metric {
     }
 }
 
+/// Returns a JSON object with something of each metric by its name, such as [`Metric::to_json`].
+pub fn by_name(metrics: &[Metric], of: impl Fn(&Metric) -> serde_json::Value) -> serde_json::Value {
+    metrics.iter().map(|metric| (metric.name.to_owned(), of(metric))).collect()
+}
+
 /// Iterates over the frames of a window.
 pub fn window(trace: &Trace, from_s: f64, until_s: f64) -> impl Iterator<Item = &Frame> + Clone {
     let half_s = 0.5 * trace.period_s;

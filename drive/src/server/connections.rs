@@ -53,13 +53,11 @@ impl Connections {
         let mut open = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let strangers = || open.iter().enumerate().filter(|(_, other)| !other.has_token.load(Ordering::Relaxed));
         let of = |address: IpAddr| strangers().filter(move |(_, other)| other.address == address);
-        let crowded = if of(address).count() >= MOST_OF_ADDRESS {
-            Some(address)
-        } else if strangers().count() >= MOST {
-            let addresses: Vec<IpAddr> = strangers().map(|(_, other)| other.address).collect();
-            addresses.into_iter().rev().max_by_key(|address| of(*address).count())
-        } else {
-            None
+        let addresses: Vec<IpAddr> = strangers().map(|(_, other)| other.address).collect();
+        let crowded = match addresses.len() {
+            _ if of(address).count() >= MOST_OF_ADDRESS => Some(address),
+            MOST.. => addresses.into_iter().rev().max_by_key(|address| of(*address).count()),
+            _ => None,
         };
         if let Some((oldest, _)) = crowded.and_then(|address| of(address).next()) {
             open.remove(oldest).closed.notify_one();
@@ -86,16 +84,15 @@ fn network(address: IpAddr) -> IpAddr {
 pub(super) async fn serve(listener: TcpListener, router: Router) {
     let connections = Arc::new(Connections::default());
     loop {
-        let (stream, address) = match listener.accept().await {
-            // It may have been set meanwhile.
-            Ok(_) if !super::is_clock_right() => continue,
-            Ok(accepted) => accepted,
-            Err(_) => {
-                // Most likely too many open files: some will be closed.
-                sleep(Duration::from_millis(100)).await;
-                continue;
-            }
+        let Ok((stream, address)) = listener.accept().await else {
+            // Most likely too many open files: some will be closed.
+            sleep(Duration::from_millis(100)).await;
+            continue;
         };
+        // It may have been set meanwhile.
+        if !super::is_clock_right() {
+            continue;
+        }
         // Send small messages at once.
         let _ = stream.set_nodelay(true);
         let (connections, this) = (Arc::clone(&connections), connections.add(address.ip()));

@@ -17,24 +17,24 @@ mod files;
 mod guard;
 mod sockets;
 
-use std::net::{IpAddr, SocketAddr};
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 use std::sync::mpsc::SyncSender;
 use std::thread;
 use std::time::SystemTime;
 
-use anyhow::Context;
+use anyhow::{Context, Result};
 use axum::Router;
 use axum::middleware::from_fn_with_state;
 use axum::routing::get;
+use serde_json::Value;
 use tokio::net::TcpListener;
 use tokio::runtime::Handle;
 use tokio::sync::Semaphore;
 
 use crate::message::Message;
 use crate::publisher::Updates;
-use crate::request::Hello;
 
 use guard::Token;
 
@@ -50,22 +50,16 @@ struct Shared {
     port: u16,
     robots: SyncSender<Message>,
     updates: Updates,
-    hello: Arc<Hello>,
+    hello: Arc<Value>,
     pages: Arc<AtomicU64>,
     page_permits: Arc<Semaphore>,
     viewer_permits: Arc<Semaphore>,
 }
 
-/// A server that runs on a thread of its own until the program ends.
-#[derive(Debug)]
-pub struct Serving {
-    /// Address to open in a browser.
-    pub url: String,
-    /// The runtime of the server, for other tasks.
-    pub runtime: Handle,
-}
-
-/// Starts to serve pages and viewers; port 0 takes any free one.
+/// Starts to serve pages and viewers on a thread of its own until the program ends; port 0 takes any free one. Returns the address to open
+/// in a browser, and the runtime for other tasks. New pages are told `hello`: the names of the shipped `policies`; the
+/// `scenes` that can be chosen; `most`, the largest push [m/s] and [N·s] and the largest pull \[N\]; `viewer`, true if the page embeds the
+/// viewer; `is_served`, true if another program plays the robot: the page cannot change robots, scene or time, nor save.
 ///
 /// # Errors
 /// The port cannot be opened, no thread can be had, or the clock of this machine is before 1970.
@@ -74,79 +68,51 @@ pub fn start(
     port: u16,
     robots: SyncSender<Message>,
     updates: Updates,
-    hello: Hello,
-) -> anyhow::Result<Serving> {
+    hello: Value,
+) -> Result<(String, Handle)> {
     anyhow::ensure!(is_clock_right(), "cannot serve pages: the clock of this machine is before 1970; set it");
     // On a thread of our own: one that cannot be had is then no panic.
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let at = || format!("cannot listen on port {port} of {ip}; choose another port with --port");
-    let server = runtime.block_on(Server::bind(ip, port)).with_context(at)?;
-    let serving = Serving { url: server.url(), runtime: runtime.handle().clone() };
-    let work = server.serve(robots, updates, hello);
-    start_thread("serving pages", move || runtime.block_on(work))?;
+    let listener = runtime.block_on(TcpListener::bind((ip, port))).with_context(at)?;
+    let (address, token) = (listener.local_addr()?, Token::random());
+    let serving = (url(address, &token), runtime.handle().clone());
+    let shared = Shared {
+        token,
+        port: address.port(),
+        robots,
+        updates,
+        hello: Arc::new(hello),
+        pages: Arc::default(),
+        page_permits: Arc::new(Semaphore::new(MOST_PAGES)),
+        viewer_permits: Arc::new(Semaphore::new(MOST_VIEWERS)),
+    };
+    let router = files::routes()
+        .route("/control", get(sockets::control))
+        .route("/view", get(sockets::view))
+        .layer(from_fn_with_state(shared.clone(), guard::check))
+        .with_state(shared);
+    start_thread("serving pages", move || runtime.block_on(connections::serve(listener, router)))?;
     Ok(serving)
+}
+
+/// Returns the address to open in a browser.
+fn url(mut address: SocketAddr, token: &Token) -> String {
+    match address.ip() {
+        IpAddr::V4(ip) if ip.is_unspecified() => address.set_ip(Ipv4Addr::LOCALHOST.into()),
+        IpAddr::V6(ip) if ip.is_unspecified() => address.set_ip(Ipv6Addr::LOCALHOST.into()),
+        _ => {}
+    }
+    format!("http://{address}/?token={}", token.0)
 }
 
 /// Starts a thread.
 ///
 /// # Errors
 /// None can be had.
-pub fn start_thread(name: &str, work: impl FnOnce() + Send + 'static) -> anyhow::Result<()> {
+pub fn start_thread(name: &str, work: impl FnOnce() + Send + 'static) -> Result<()> {
     let started = thread::Builder::new().name(name.to_owned()).spawn(work);
     started.map(drop).with_context(|| format!("cannot start the thread for {name}"))
-}
-
-/// A server that listens on its port.
-#[derive(Debug)]
-struct Server {
-    listener: TcpListener,
-    /// Address that the server listens on.
-    address: SocketAddr,
-    token: Token,
-}
-
-impl Server {
-    /// Listens on an address and port; port 0 takes any free one.
-    ///
-    /// # Errors
-    /// The port cannot be opened, e.g. because it is in use.
-    async fn bind(ip: IpAddr, port: u16) -> std::io::Result<Self> {
-        let listener = TcpListener::bind((ip, port)).await?;
-        let address = listener.local_addr()?;
-        Ok(Server { listener, address, token: Token::random() })
-    }
-
-    /// Returns the address to open in a browser.
-    fn url(&self) -> String {
-        let address = match self.address.ip() {
-            ip if ip.is_unspecified() && ip.is_ipv4() => {
-                SocketAddr::new(IpAddr::from([127, 0, 0, 1]), self.address.port())
-            }
-            ip if ip.is_unspecified() => SocketAddr::new(IpAddr::from([0, 0, 0, 0, 0, 0, 0, 1]), self.address.port()),
-            _ => self.address,
-        };
-        format!("http://{address}/?token={}", self.token)
-    }
-
-    /// Serves until the future is dropped.
-    async fn serve(self, robots: SyncSender<Message>, updates: Updates, hello: Hello) {
-        let shared = Shared {
-            token: self.token,
-            port: self.address.port(),
-            robots,
-            updates,
-            hello: Arc::new(hello),
-            pages: Arc::default(),
-            page_permits: Arc::new(Semaphore::new(MOST_PAGES)),
-            viewer_permits: Arc::new(Semaphore::new(MOST_VIEWERS)),
-        };
-        let router = files::routes()
-            .route("/control", get(sockets::control))
-            .route("/view", get(sockets::view))
-            .layer(from_fn_with_state(shared.clone(), guard::check))
-            .with_state(shared);
-        connections::serve(self.listener, router).await;
-    }
 }
 
 /// Returns false if the clock of this machine is before 1970: hyper panics then.

@@ -11,10 +11,10 @@ use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
 use supple::mujoco;
 use tokio::runtime::Handle;
-use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
+use tokio::sync::{OwnedSemaphorePermit, mpsc};
 use tokio::time::{interval, sleep, timeout};
 
-use super::Shared;
+use super::{Shared, start_thread};
 use crate::message::Message;
 use crate::request::{PageId, Request};
 use crate::viewer_stream;
@@ -36,7 +36,7 @@ const SILENT: Duration = Duration::from_secs(15);
 
 /// Opens the socket of a page of controls.
 pub(super) async fn control(State(shared): State<Shared>, upgrade: WebSocketUpgrade) -> Response {
-    let Some(permit) = room(&shared.page_permits) else { return full() };
+    let Ok(permit) = Arc::clone(&shared.page_permits).try_acquire_owned() else { return full() };
     bounded(upgrade).on_upgrade(move |socket| async move {
         let page = shared.pages.fetch_add(1, Ordering::Relaxed) + 1;
         if notify(&shared, Message::PageOpened(page)).await {
@@ -52,10 +52,6 @@ pub(super) async fn view(State(shared): State<Shared>, upgrade: WebSocketUpgrade
     let permits = Arc::clone(&shared.viewer_permits);
     let Ok(Ok(permit)) = timeout(PATIENCE, permits.acquire_owned()).await else { return full() };
     bounded(upgrade).on_upgrade(move |socket| async move { feed(socket, &shared, permit).await })
-}
-
-fn room(permits: &Arc<Semaphore>) -> Option<OwnedSemaphorePermit> {
-    Arc::clone(permits).try_acquire_owned().ok()
 }
 
 fn full() -> Response {
@@ -116,17 +112,13 @@ async fn talk(mut socket: WebSocket, page: PageId, shared: &Shared) {
 }
 
 async fn ask(socket: &mut WebSocket, page: PageId, shared: &Shared, text: &str) -> bool {
-    match Request::parse(text) {
+    match Request::parse(text).map(|request| shared.robots.try_send(Message::Request(page, request))) {
         // Requests queue while a scene is built; a full queue drops them, and the page repeats its commands.
-        Ok(request) => match shared.robots.try_send(Message::Request(page, request)) {
-            Ok(()) | Err(TrySendError::Full(_)) => true,
-            Err(TrySendError::Disconnected(_)) => false,
-        },
+        Ok(sent) => !matches!(sent, Err(TrySendError::Disconnected(_))),
         Err(problem) => refuse(socket, &problem).await,
     }
 }
 
-/// Sends the reason and closes the connection.
 async fn refuse(socket: &mut WebSocket, problem: &str) -> bool {
     send(socket, Frame::text(serde_json::json!({ "refused": problem }).to_string())).await;
     send(socket, Frame::Close(None)).await;
@@ -151,20 +143,17 @@ async fn feed(mut socket: WebSocket, shared: &Shared, permit: OwnedSemaphorePerm
         mujoco::release_memory();
         drop(permit);
     };
-    if let Err(error) = std::thread::Builder::new().name("feeding a viewer".to_owned()).spawn(work) {
-        let _ = shared.robots.try_send(Message::Notice(format!("a viewer cannot be shown without a thread: {error}")));
+    if let Err(error) = start_thread("feeding a viewer", work) {
+        let _ = shared.robots.try_send(Message::Notice(format!("{error:#}")));
         return;
     }
     let (mut ahead, mut heard, mut look) = (0, Instant::now(), interval(PING_EVERY));
     loop {
         let going_on = tokio::select! {
-            file = arriving.recv(), if ahead < AHEAD => match file {
-                Some(file) => {
-                    ahead += 1;
-                    send(&mut socket, Frame::Binary(file.into())).await
-                }
-                None => false,
-            },
+            file = arriving.recv(), if ahead < AHEAD => {
+                ahead += 1;
+                file.is_some() && send(&mut socket, Frame::Binary(file.unwrap_or_default().into())).await
+            }
             message = socket.recv() => {
                 heard = Instant::now();
                 // A text means that the viewer has shown a file.

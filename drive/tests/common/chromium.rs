@@ -102,19 +102,16 @@ impl Chromium {
     }
 
     fn note(&mut self, parameters: &Value, event: &str) {
-        match event {
+        let complaint = match event {
             "Network.requestWillBeSent" => {
-                self.requests.push(parameters["request"]["url"].as_str().unwrap_or_default().to_owned());
+                return self.requests.push(parameters["request"]["url"].as_str().unwrap_or_default().to_owned());
             }
-            "Runtime.exceptionThrown" => self.complaints.push(parameters["exceptionDetails"].to_string()),
-            "Runtime.consoleAPICalled" if parameters["type"] == "error" => {
-                self.complaints.push(parameters["args"].to_string());
-            }
-            "Log.entryAdded" if parameters["entry"]["level"] == "error" => {
-                self.complaints.push(parameters["entry"].to_string());
-            }
-            _ => {}
-        }
+            "Runtime.exceptionThrown" => &parameters["exceptionDetails"],
+            "Runtime.consoleAPICalled" if parameters["type"] == "error" => &parameters["args"],
+            "Log.entryAdded" if parameters["entry"]["level"] == "error" => &parameters["entry"],
+            _ => return,
+        };
+        self.complaints.push(complaint.to_string());
     }
 
     /// Evaluates an expression in the page.
@@ -152,10 +149,8 @@ impl Chromium {
 
     pub fn key(&mut self, code: &str, down: bool) {
         let kind = if down { "rawKeyDown" } else { "keyUp" };
-        self.call(
-            "Input.dispatchKeyEvent",
-            json!({ "type": kind, "code": code, "key": code.trim_start_matches("Key") }),
-        );
+        let event = json!({ "type": kind, "code": code, "key": code.trim_start_matches("Key") });
+        self.call("Input.dispatchKeyEvent", event);
     }
 
     /// Sends mouse events, one right after the other.

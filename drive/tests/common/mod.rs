@@ -25,13 +25,9 @@ pub struct Drive {
 impl Drive {
     /// Starts the program in a folder.
     pub fn start(folder: &Path, arguments: &[&str]) -> Drive {
-        let mut child = Command::new(env!("CARGO_BIN_EXE_drive"))
-            .args(["--no-open", "--port", "0"])
-            .args(arguments)
-            .current_dir(folder)
-            .stdout(Stdio::piped())
-            .spawn()
-            .unwrap();
+        let mut command = Command::new(env!("CARGO_BIN_EXE_drive"));
+        command.args(["--no-open", "--port", "0"]).args(arguments).current_dir(folder).stdout(Stdio::piped());
+        let mut child = command.spawn().unwrap();
         let mut url = String::new();
         BufReader::new(child.stdout.take().unwrap()).read_line(&mut url).unwrap();
         let (host, token) = url.trim().strip_prefix("http://").unwrap().split_once("/?token=").unwrap();
@@ -42,9 +38,14 @@ impl Drive {
         format!("http://{}/?token={}", self.host, self.token)
     }
 
+    /// Opens a socket as the server's own pages do.
+    pub fn open(&self, path: &str) -> WebSocket<TcpStream> {
+        self.socket(path, Some(&format!("http://{}", self.host)), &self.token).unwrap()
+    }
+
     /// Opens the socket of a page.
     pub fn page(&self) -> Page {
-        let socket = self.socket("/control", Some(&format!("http://{}", self.host)), &self.token).unwrap();
+        let socket = self.open("/control");
         let mut page = Page { socket, state: Value::Null, me: 0 };
         page.me = page.wait("a greeting", |_, message| message["hello"]["page"].as_u64());
         page
@@ -129,6 +130,13 @@ impl Page {
         self.socket.send(Message::text(request.to_string())).unwrap();
     }
 
+    /// Reads states until one has these values, by their JSON pointers.
+    pub fn wait_for(&mut self, what: &str, values: &[(&str, Value)]) {
+        let is =
+            |state: &Value, (pointer, value): &(&str, Value)| state.pointer(pointer).unwrap_or(&Value::Null) == value;
+        self.wait(what, |state, _| (state.is_object() && values.iter().all(|pair| is(state, pair))).then_some(()));
+    }
+
     /// Reads states and answers until `find` returns something.
     pub fn wait<T>(&mut self, what: &str, mut find: impl FnMut(&Value, &Value) -> Option<T>) -> T {
         let start = Instant::now();
@@ -169,14 +177,18 @@ impl Page {
     }
 }
 
+/// A running program in a folder of its own, and a page.
+pub fn start(arguments: &[&str]) -> (tempfile::TempDir, Drive, Page) {
+    let folder = tempfile::tempdir().unwrap();
+    let drive = Drive::start(folder.path(), arguments);
+    let page = drive.page();
+    (folder, drive, page)
+}
+
 /// Replays a session with the program, and returns its output.
 pub fn replay(folder: &Path, session: &str, arguments: &[&str]) -> Output {
-    let program = Command::new(env!("CARGO_BIN_EXE_drive"))
-        .args(["--replay", session, "--headless"])
-        .args(arguments)
-        .current_dir(folder)
-        .output();
-    program.unwrap()
+    let mut program = Command::new(env!("CARGO_BIN_EXE_drive"));
+    program.args(["--replay", session, "--headless"]).args(arguments).current_dir(folder).output().unwrap()
 }
 
 pub fn text(bytes: &[u8]) -> String {

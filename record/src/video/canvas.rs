@@ -19,13 +19,11 @@ pub(super) struct Style {
     pub(super) bold: bool,
 }
 
-/// The part of a text that is at its position.
-#[derive(Clone, Copy)]
-pub(super) enum Anchor {
-    Left,
-    Middle,
-    Right,
-}
+/// The share of a text that is to the left of its position.
+pub(super) type Anchor = f32;
+pub(super) const LEFT: Anchor = 0.0;
+pub(super) const MIDDLE: Anchor = 0.5;
+pub(super) const RIGHT: Anchor = 1.0;
 
 impl Fonts {
     pub(super) fn new() -> Result<Self, InvalidFont> {
@@ -112,12 +110,7 @@ impl Canvas {
     /// Writes a text on a baseline.
     pub(super) fn text(&mut self, fonts: &Fonts, [x, y]: [f32; 2], anchor: Anchor, style: Style, text: &str) {
         let font = fonts.of(style).as_scaled(style.size);
-        let width = fonts.width(text, style);
-        let mut x = match anchor {
-            Anchor::Left => x,
-            Anchor::Middle => x - 0.5 * width,
-            Anchor::Right => x - width,
-        };
+        let mut x = x - anchor * fonts.width(text, style);
         for letter in text.chars() {
             let id = font.glyph_id(letter);
             let glyph = id.with_scale_and_position(style.size, point(x, y));
@@ -172,7 +165,7 @@ mod tests {
             [dark[0], dark[dark.len() - 1]]
         };
         let width = fonts.width("walk", style) as usize;
-        let [left, middle, right] = [Anchor::Left, Anchor::Middle, Anchor::Right].map(columns);
+        let [left, middle, right] = [LEFT, MIDDLE, RIGHT].map(columns);
         assert!((100..103).contains(&left[0]) && (98..101).contains(&right[1]), "{left:?} {right:?}");
         assert!(middle[0].abs_diff(100 - width / 2) <= 2, "{middle:?} {width}");
     }

@@ -16,7 +16,7 @@ use shiguredo_mp4::boxes::SampleEntry;
 use shiguredo_mp4::mux::{Mp4FileMuxer, Sample};
 use webp_animation::{EncoderOptions, EncodingConfig};
 
-use super::{FRAME_RATE, VideoError};
+use super::{FRAME_RATE, Result, VideoError};
 
 /// Bits of H.264 for each pixel of a frame: a still background costs little.
 const BITS_PER_PIXEL: f32 = 0.16;
@@ -36,12 +36,9 @@ pub(super) enum Format {
 impl Format {
     /// Returns the format that the ending of a file's name stands for.
     pub(super) fn of(path: &Path) -> Option<Self> {
-        match path.extension()?.to_str()?.to_ascii_lowercase().as_str() {
-            "mp4" => Some(Format::Mp4),
-            "webp" => Some(Format::WebP),
-            "gif" => Some(Format::Gif),
-            _ => None,
-        }
+        let endings = [("mp4", Format::Mp4), ("webp", Format::WebP), ("gif", Format::Gif)];
+        let found = path.extension()?;
+        endings.into_iter().find(|(ending, _)| found.eq_ignore_ascii_case(ending)).map(|(_, format)| format)
     }
 }
 
@@ -49,7 +46,6 @@ impl Format {
 pub(super) struct Encoder {
     kind: Kind,
     size: [usize; 2],
-    /// Number of encoded frames.
     frames: u32,
 }
 
@@ -69,15 +65,15 @@ fn time_of(frame: u32, parts_per_s: u64) -> u32 {
 }
 
 impl Encoder {
-    pub(super) fn new(format: Format, size: [usize; 2]) -> Result<Self, VideoError> {
+    pub(super) fn new(format: Format, size: [usize; 2]) -> Result<Self> {
         let [width, height] = size;
         let kind = match format {
             Format::Mp4 => Kind::Mp4(Box::new(Mp4::new(size)?)),
             Format::WebP => {
                 let encoding_config = Some(EncodingConfig::new_lossy(WEBP_QUALITY));
                 let options = EncoderOptions { encoding_config, ..EncoderOptions::default() };
-                let dimensions = (width as u32, height as u32);
-                Kind::WebP(Box::new(webp_animation::Encoder::new_with_options(dimensions, options).map_err(failed)?))
+                let webp = webp_animation::Encoder::new_with_options((width as u32, height as u32), options);
+                Kind::WebP(Box::new(webp.map_err(failed)?))
             }
             Format::Gif => {
                 let mut gif = gif::Encoder::new(Vec::new(), width as u16, height as u16, &[]).map_err(failed)?;
@@ -89,7 +85,7 @@ impl Encoder {
     }
 
     /// Adds a picture, shape (height, width, 3).
-    pub(super) fn frame(&mut self, rgb: &[u8]) -> Result<(), VideoError> {
+    pub(super) fn frame(&mut self, rgb: &[u8]) -> Result<()> {
         let [width, height] = self.size;
         match &mut self.kind {
             Kind::Mp4(mp4) => mp4.frame(rgb, self.size)?,
@@ -108,8 +104,7 @@ impl Encoder {
         Ok(())
     }
 
-    /// Returns the bytes of the file.
-    pub(super) fn finish(self) -> Result<Vec<u8>, VideoError> {
+    pub(super) fn finish(self) -> Result<Vec<u8>> {
         match self.kind {
             Kind::Mp4(mp4) => mp4.finish(),
             Kind::WebP(webp) => Ok(webp.finalize(time_of(self.frames, 1000) as i32).map_err(failed)?.to_vec()),
@@ -127,7 +122,7 @@ struct Mp4 {
 }
 
 impl Mp4 {
-    fn new([width, height]: [usize; 2]) -> Result<Self, VideoError> {
+    fn new([width, height]: [usize; 2]) -> Result<Self> {
         let bits_per_s = BITS_PER_PIXEL * (width * height) as f32 * FRAME_RATE as f32;
         let config = EncoderConfig::new()
             .rate_control_mode(RateControlMode::Quality)
@@ -146,7 +141,7 @@ impl Mp4 {
         Ok(Mp4 { encoder, muxer, file, is_empty: true })
     }
 
-    fn frame(&mut self, rgb: &[u8], [width, height]: [usize; 2]) -> Result<(), VideoError> {
+    fn frame(&mut self, rgb: &[u8], [width, height]: [usize; 2]) -> Result<()> {
         let yuv = YUVBuffer::from_rgb8_source(RgbSliceU8::new(rgb, (width, height)));
         let coded = self.encoder.encode(&yuv).map_err(failed)?;
         let (keyframe, stream) = (matches!(coded.frame_type(), FrameType::IDR | FrameType::I), coded.to_vec());
@@ -174,7 +169,7 @@ impl Mp4 {
         self.muxer.append_sample(&sample).map_err(failed)
     }
 
-    fn finish(mut self) -> Result<Vec<u8>, VideoError> {
+    fn finish(mut self) -> Result<Vec<u8>> {
         let ends = self.muxer.finalize().map_err(failed)?;
         for (offset, bytes) in ends.offset_and_bytes_pairs() {
             let (start, end) = (offset as usize, offset as usize + bytes.len());

@@ -16,7 +16,7 @@ use encode::{Encoder, Format};
 use panel::Panel;
 use supple::mujoco::{self, Model, Renderer};
 use supple::scenario::trace::Trace;
-use supple::util::files::{self, Target};
+use supple::util::files::{self, FileError, Target};
 use view::View;
 
 use super::RobotView;
@@ -30,38 +30,21 @@ const SIZES: [[usize; 2]; 2] = [[480, 270], [3840, 2160]];
 /// The reason why there is no video.
 #[derive(Debug, thiserror::Error)]
 pub enum VideoError {
-    /// The name of the file has none of the known endings.
-    #[error("cannot write the video {}: its name says what it is and ends with .mp4, .webp or .gif; name it {}", path.display(), path.with_extension("mp4").display())]
-    Ending {
-        /// Path of the file.
-        path: PathBuf,
-    },
+    /// The file cannot be written, or its name has none of the known endings.
+    #[error(transparent)]
+    Write(#[from] FileError),
     /// The size is out of range.
-    #[error("the size of the video is {width}x{height} px, expected even numbers from 480x270 to 3840x2160")]
-    Size {
-        /// Width \[px\].
-        width: usize,
-        /// Height \[px\].
-        height: usize,
-    },
-    /// There is no picture to show.
-    #[error("there is no frame of {robot} to show: its playback ended before the first step")]
-    Empty {
-        /// Name of the robot.
-        robot: String,
-    },
-    /// A frame belongs to another scene: its number of bodies differs.
+    #[error("the size of the video is {0}x{1} px, expected even numbers from 480x270 to 3840x2160")]
+    Size(usize, usize),
+    /// There is no picture of this robot to show.
+    #[error("there is no frame of {0} to show: its playback ended before the first step")]
+    Empty(String),
+    /// A frame of this robot belongs to another scene: it has other bodies than the model.
     #[error(
         "a frame of {robot} has {found} bodies, its model {expected}; draw it with the scene's own visual model, and play it with bodies"
     )]
-    Bodies {
-        /// Name of the robot.
-        robot: String,
-        /// Number of bodies in the frame.
-        found: usize,
-        /// Number of bodies in the robot's model.
-        expected: usize,
-    },
+    #[allow(missing_docs)] // the message says them
+    Bodies { robot: String, found: usize, expected: usize },
     /// No picture can be drawn.
     #[error(transparent)]
     Picture(#[from] mujoco::Error),
@@ -71,20 +54,22 @@ pub enum VideoError {
     /// The frames cannot be encoded.
     #[error("cannot encode the video: {0}")]
     Encode(Box<dyn std::error::Error + Send + Sync>),
-    /// The file cannot be written.
-    #[error("cannot write the video {}: {source}", path.display())]
-    Write {
-        /// Path of the file.
-        path: PathBuf,
-        /// Reason given by the operating system.
-        source: std::io::Error,
-    },
+}
+
+/// A robot and its playback.
+type Played<'a> = (RobotView<'a>, &'a Trace);
+
+type Result<T, E = VideoError> = std::result::Result<T, E>;
+
+fn cannot_write<E: ToString>(path: &Path) -> impl Fn(E) -> FileError + Copy {
+    FileError::of("cannot write the video", path)
 }
 
 /// A video to be written: its file, format and size.
 #[derive(Debug, Clone)]
 pub struct Video {
-    path: PathBuf,
+    /// Path of the file.
+    pub path: PathBuf,
     format: Format,
     size: [usize; 2],
 }
@@ -94,23 +79,21 @@ impl Video {
     ///
     /// # Errors
     /// The ending is none of `.mp4`, `.webp` and `.gif`, the size is out of range, or no OpenGL without a screen is installed.
-    pub fn new(path: &Path, size: [usize; 2]) -> Result<Self, VideoError> {
-        let format = Format::of(path).ok_or_else(|| VideoError::Ending { path: path.to_owned() })?;
+    pub fn new(path: &Path, size: [usize; 2]) -> Result<Self> {
+        let format = Format::of(path).ok_or_else(|| {
+            let name = path.with_extension("mp4");
+            let words = "its name says what it is and ends with .mp4, .webp or .gif; name it";
+            cannot_write(path)(format!("{words} {}", name.display()))
+        })?;
         let [width, height] = size;
         let in_range =
             (0..2).all(|axis| (SIZES[0][axis]..=SIZES[1][axis]).contains(&size[axis]) && size[axis].is_multiple_of(2));
         if !in_range {
-            return Err(VideoError::Size { width, height });
+            return Err(VideoError::Size(width, height));
         }
-        let write = |source| VideoError::Write { path: path.to_owned(), source };
-        Target::of(path).map_err(write)?;
+        Target::of(path).map_err(cannot_write(path))?;
         Renderer::new(Model::from_xml(&[("nothing.xml", "<mujoco/>")])?, [16, 16])?;
         Ok(Video { path: path.to_owned(), format, size })
-    }
-
-    /// Returns the path of the file.
-    pub fn path(&self) -> &Path {
-        &self.path
     }
 
     /// Draws the playbacks and writes the file: whole or not at all, in place of one that is there; folders are created. Calls
@@ -118,13 +101,8 @@ impl Video {
     ///
     /// # Errors
     /// A trace has no frames, MuJoCo or the encoder fails, or the file cannot be written.
-    pub fn write(
-        &self,
-        title: &str,
-        robots: &[(RobotView<'_>, &Trace)],
-        mut drawn: impl FnMut(u64, u64),
-    ) -> Result<(), VideoError> {
-        let failed = |source| VideoError::Write { path: self.path.clone(), source };
+    pub fn write(&self, title: &str, robots: &[Played<'_>], mut drawn: impl FnMut(u64, u64)) -> Result<()> {
+        let failed = cannot_write(&self.path);
         if let Some(folder) = self.path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
             std::fs::create_dir_all(folder).map_err(failed)?;
         }
@@ -139,17 +117,11 @@ impl Video {
         });
         match problem {
             Some(error) => Err(error),
-            None => written.map_err(failed),
+            None => Ok(written.map_err(failed)?),
         }
     }
 
-    /// Returns the bytes of the file.
-    fn encode(
-        &self,
-        title: &str,
-        robots: &[(RobotView<'_>, &Trace)],
-        drawn: &mut dyn FnMut(u64, u64),
-    ) -> Result<Vec<u8>, VideoError> {
+    fn encode(&self, title: &str, robots: &[Played<'_>], drawn: &mut dyn FnMut(u64, u64)) -> Result<Vec<u8>> {
         let mut panel = Panel::new(self.size, title, robots)?;
         let mut encoder = Encoder::new(self.format, self.size)?;
         let end_s = robots.iter().filter_map(|(_, trace)| Some(trace.frames.last()?.time_s)).fold(0.0, f64::max);
@@ -158,13 +130,10 @@ impl Video {
         let size = panel.picture_size();
         // A thread for each robot, on which its renderer stays.
         std::thread::scope(|scope| {
-            let draw = |(robot, trace): &(RobotView<'_>, &Trace), to: SyncSender<_>| {
-                let drawn = View::new(robot, trace, size).and_then(|mut view| {
-                    // Nothing takes the pictures of a video that has failed.
-                    (1..=count)
-                        .try_for_each(|frame| to.send(view.picture(time_s(frame))).map_err(|_| VideoError::Stopped))
-                });
-                drawn.unwrap_or_else(|error| drop(to.send(Err(error))));
+            let draw = |(robot, trace): &Played<'_>, to: SyncSender<_>| match View::new(robot, trace, size) {
+                // Nothing takes the pictures of a video that has failed.
+                Ok(mut view) => drop((1..=count).try_for_each(|frame| to.send(view.picture(time_s(frame))))),
+                Err(error) => drop(to.send(Err(error))),
             };
             let start = |robot| {
                 let (to, from) = sync_channel(2);

@@ -1,11 +1,10 @@
 //! Titles, captions and the plot around the pictures of a video.
 
-use super::VideoError;
-use super::canvas::{Anchor, Canvas, Fonts, Style};
-use crate::RobotView;
+use super::canvas::{Canvas, Fonts, LEFT, MIDDLE, RIGHT, Style};
+use super::{Played, Result, VideoError};
 use crate::style::{BLUE, LABEL_SHOWN_S, Rgb};
 use supple::scenario::metrics::{BRIEF_S, SETTLE_S};
-use supple::scenario::trace::{Event, EventKind, Frame, Trace};
+use supple::scenario::trace::{Event, EventKind, Frame};
 
 const PAPER: Rgb = [255, 255, 255];
 const INK: Rgb = [45, 52, 60];
@@ -42,15 +41,11 @@ struct Curve<'a> {
 }
 
 impl<'a> Panel<'a> {
-    pub(super) fn new(
-        size: [usize; 2],
-        title: &'a str,
-        robots: &[(RobotView<'_>, &'a Trace)],
-    ) -> Result<Self, VideoError> {
+    pub(super) fn new(size: [usize; 2], title: &'a str, robots: &[Played<'a>]) -> Result<Self> {
         let fonts = Fonts::new().map_err(|error| VideoError::Encode(error.into()))?;
         let [width, height] = size.map(|length| length as f32);
         let unit = height / 540.0;
-        let curve = |(robot, trace): &(RobotView<'_>, &'a Trace)| Curve {
+        let curve = |(robot, trace): &Played<'a>| Curve {
             colour: robot.tint.unwrap_or(BLUE),
             points: deviation(&trace.frames),
             events: &trace.events,
@@ -71,8 +66,7 @@ impl<'a> Panel<'a> {
 
     /// Returns width and height of a robot's picture \[px\].
     pub(super) fn picture_size(&self) -> [usize; 2] {
-        let [width, height] = self.size;
-        let count = self.curves.len().max(1);
+        let ([width, height], count) = (self.size, self.curves.len().max(1));
         let strips = SHARES.map(|share| (share * height as f32) as usize);
         [(width - self.gap() * (count - 1)) / count, height - strips[0] - strips[1]]
     }
@@ -87,14 +81,13 @@ impl<'a> Panel<'a> {
         for (index, (curve, picture)) in self.curves.iter().zip(pictures).enumerate() {
             let left = index * (width + self.gap());
             frame.paste([left, top], width, picture);
-            let caption = curve.events.iter().rev().find(|event| is_shown(event, time_s));
-            if let Some(event) = caption {
+            if let Some(event) = curve.events.iter().rev().find(|event| is_shown(event, time_s)) {
                 self.draw_caption(&mut frame, [left as f32, (top + height) as f32], width as f32, event);
             }
         }
         let style = self.style(17.0, FAINT, false);
         let place = [self.size[0] as f32 - 20.0 * self.unit, 29.0 * self.unit];
-        frame.text(&self.fonts, place, Anchor::Right, style, &format!("{}   {time_s:5.1} s", self.title));
+        frame.text(&self.fonts, place, RIGHT, style, &format!("{}   {time_s:5.1} s", self.title));
         for curve in self.curves.iter().rev() {
             let until = curve.points.partition_point(|point| point[0] < time + 1e-3);
             let inside = curve.points[..until].iter().filter(|point| point[1] <= self.ends[1]);
@@ -127,7 +120,7 @@ impl<'a> Panel<'a> {
         [left + (right - left) * time_s / self.ends[0], bottom + (top - bottom) * value / self.ends[1]]
     }
 
-    fn draw_base(&mut self, robots: &[(RobotView<'_>, &Trace)]) {
+    fn draw_base(&mut self, robots: &[Played<'_>]) {
         let mut base = self.base.clone();
         let [left, top, right, bottom] = self.area;
         let unit = self.unit;
@@ -135,16 +128,13 @@ impl<'a> Panel<'a> {
         for (index, (robot, _)) in robots.iter().enumerate() {
             let x = (index * (self.picture_size()[0] + self.gap())) as f32 + 16.0 * unit;
             let style = self.style(22.0, self.curves[index].colour, true);
-            base.text(fonts, [x, 30.0 * unit], Anchor::Left, style, robot.name);
+            base.text(fonts, [x, 30.0 * unit], LEFT, style, robot.name);
         }
         let heading = format!("off the commanded velocity by [m/s], mean over {BRIEF_S} s");
-        base.text(fonts, [16.0 * unit, top - 12.0 * unit], Anchor::Left, self.style(15.0, INK, false), &heading);
-        let mut disturbances: Vec<f64> = robots
-            .iter()
-            .flat_map(|(_, trace)| &trace.events)
-            .filter(|event| event.kind == EventKind::Disturbance)
-            .map(|event| event.time_s)
-            .collect();
+        base.text(fonts, [16.0 * unit, top - 12.0 * unit], LEFT, self.style(15.0, INK, false), &heading);
+        let events = robots.iter().flat_map(|(_, trace)| &trace.events);
+        let disturbances = events.filter(|event| event.kind == EventKind::Disturbance).map(|event| event.time_s);
+        let mut disturbances: Vec<f64> = disturbances.collect();
         disturbances.dedup();
         for time_s in disturbances {
             let x = self.at([time_s as f32, 0.0])[0];
@@ -153,12 +143,12 @@ impl<'a> Panel<'a> {
         for (value, text) in ticks(self.ends[1], 4) {
             let y = self.at([0.0, value])[1];
             base.rectangle([left, y], [right, y + unit.max(1.0)], GRID, 1.0);
-            base.text(fonts, [left - 8.0 * unit, y + 5.0 * unit], Anchor::Right, small, &text);
+            base.text(fonts, [left - 8.0 * unit, y + 5.0 * unit], RIGHT, small, &text);
         }
         for (time_s, text) in ticks(self.ends[0], 10) {
             let x = self.at([time_s, 0.0])[0];
             let text = if time_s == 0.0 { "0 s".to_owned() } else { text };
-            base.text(fonts, [x, bottom + 19.0 * unit], Anchor::Middle, small, &text);
+            base.text(fonts, [x, bottom + 19.0 * unit], MIDDLE, small, &text);
         }
         self.base = base;
     }
@@ -172,7 +162,7 @@ impl<'a> Panel<'a> {
         let end = left + 32.0 * unit + self.fonts.width(&text, style);
         frame.rectangle([left + 12.0 * unit, bottom - 40.0 * unit], [end, bottom - 12.0 * unit], PAPER, 0.8);
         let place = [left + 22.0 * unit, bottom - 20.5 * unit];
-        frame.text(&self.fonts, place, Anchor::Left, style, &text);
+        frame.text(&self.fonts, place, LEFT, style, &text);
     }
 }
 
@@ -191,10 +181,9 @@ fn deviation(frames: &[Frame]) -> Vec<[f32; 2]> {
     let value = |index: usize| {
         let from_s = frames[index].time_s - BRIEF_S + 1e-6;
         let last = frames[..=index].iter().rev().take_while(|frame| frame.time_s > from_s);
-        let (sum, count) = last
-            .map(error)
-            .fold(([0.0; 2], 0.0), |(sum, count), error| ([sum[0] + error[0], sum[1] + error[1]], count + 1.0));
-        [frames[index].time_s as f32, (sum[0].hypot(sum[1]) / count) as f32]
+        let add = |([x, y], count): ([f64; 2], f64), [dx, dy]: [f64; 2]| ([x + dx, y + dy], count + 1.0);
+        let ([forward, left], count) = last.map(error).fold(([0.0; 2], 0.0), add);
+        [frames[index].time_s as f32, (forward.hypot(left) / count) as f32]
     };
     (0..frames.len()).map(value).collect()
 }

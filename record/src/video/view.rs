@@ -1,6 +1,6 @@
 //! The picture of one robot at a time of its playback: the scene, a camera that follows, the marks of forces, the path behind.
 
-use super::VideoError;
+use super::{Result, VideoError};
 use crate::marks::{self, Arrow};
 use crate::style::{BLUE, CAMERA_LAG_S, GREY, PURPLE, PUSH_SHOWN_S, Rgb, VERMILLION, YELLOW};
 use crate::{RobotView, geometry};
@@ -27,16 +27,15 @@ pub(super) struct View<'a> {
     robot: RobotView<'a>,
     trace: &'a Trace,
     renderer: Renderer,
-    /// Number of bodies of the model.
     bodies: usize,
     /// Time of the last picture \[s\], and what its camera looked at \[m\].
     looked_at: Option<(f64, [f64; 3])>,
 }
 
 impl<'a> View<'a> {
-    pub(super) fn new(robot: &RobotView<'a>, trace: &'a Trace, size: [usize; 2]) -> Result<Self, VideoError> {
+    pub(super) fn new(robot: &RobotView<'a>, trace: &'a Trace, size: [usize; 2]) -> Result<Self> {
         if trace.frames.is_empty() {
-            return Err(VideoError::Empty { robot: robot.name.to_owned() });
+            return Err(VideoError::Empty(robot.name.to_owned()));
         }
         let mut model = robot.model.try_clone()?;
         for (geom, rgba) in geometry::colours(&model, robot.tint)?.into_iter().enumerate() {
@@ -47,16 +46,13 @@ impl<'a> View<'a> {
     }
 
     /// Returns the picture at a time \[s\], or at the end of a shorter playback.
-    pub(super) fn picture(&mut self, time_s: f64) -> Result<Vec<u8>, VideoError> {
+    pub(super) fn picture(&mut self, time_s: f64) -> Result<Vec<u8>> {
         let later = self.trace.frames.partition_point(|frame| frame.time_s < time_s + 1e-6);
         let past = &self.trace.frames[..later.max(1)];
         let frame = &past[past.len() - 1];
         if frame.bodies.len() != self.bodies {
-            return Err(VideoError::Bodies {
-                robot: self.robot.name.to_owned(),
-                found: frame.bodies.len(),
-                expected: self.bodies,
-            });
+            let (robot, found) = (self.robot.name.to_owned(), frame.bodies.len());
+            return Err(VideoError::Bodies { robot, found, expected: self.bodies });
         }
         let poses: Vec<[f32; 7]> = frame.bodies.iter().map(Pose::row).collect();
         let mut marks = self.trail(past);

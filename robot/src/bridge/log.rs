@@ -9,7 +9,6 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::thread::JoinHandle;
 
-use serde::{Deserialize, Serialize};
 use supple::robot::Joints;
 
 /// Rows in a file: four minutes at 500 Hz, some 80 MB.
@@ -19,32 +18,20 @@ pub const ROWS: u64 = 120_000;
 const WAITING: usize = 1000;
 
 /// A command with the reading that it answers.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Row {
-    /// Time since the start \[s\].
-    pub time_s: f64,
-    /// Clock of the robot \[s\].
-    pub tick_s: f64,
-    /// Joint angles \[rad\].
-    pub q: Joints,
-    /// Joint rates [rad/s].
-    pub dq: Joints,
-    /// Torques [N·m].
-    pub tau: Joints,
-    /// Orientation of the IMU, world from base (w, x, y, z).
-    pub quaternion: [f64; 4],
-    /// Angular velocity, base frame [rad/s].
-    pub gyro: [f64; 3],
-    /// Specific force, base frame [m/s²].
-    pub accelerometer: [f64; 3],
-    /// Commanded velocity: forward [m/s], left [m/s], yaw rate [rad/s].
-    pub command: [f64; 3],
-    /// Commanded compliance [m/s/N]; 0 for the policy's own.
-    pub compliance: f64,
-    /// Joint targets that were sent \[rad\].
-    pub target: Joints,
-    /// Gains that were sent [N·m/rad], [N·m·s/rad].
-    pub gains: [f64; 2],
+    pub time_s: f64,             // time since the start [s]
+    pub tick_s: f64,             // clock of the robot [s]
+    pub q: Joints,               // joint angles [rad]
+    pub dq: Joints,              // joint rates [rad/s]
+    pub tau: Joints,             // torques [N·m]
+    pub quaternion: [f64; 4],    // orientation of the IMU, world from base (w, x, y, z)
+    pub gyro: [f64; 3],          // angular velocity, base frame [rad/s]
+    pub accelerometer: [f64; 3], // specific force, base frame [m/s²]
+    pub command: [f64; 3],       // commanded velocity: forward [m/s], left [m/s], yaw rate [rad/s]
+    pub compliance: f64,         // commanded compliance [m/s/N]; 0 for the policy's own
+    pub target: Joints,          // joint targets that were sent [rad]
+    pub gains: [f64; 2],         // gains that were sent [N·m/rad], [N·m·s/rad]
 }
 
 /// The column of the commanded compliance, which logs of other programs need not have.
@@ -52,18 +39,21 @@ pub const COMPLIANCE: &str = "command_compliance";
 
 /// Names of the columns in order; the phase is the first.
 pub fn columns() -> Vec<String> {
-    let joints = |what: &str| (0..12).map(|joint| format!("{what}_{joint}")).collect::<Vec<_>>();
-    let mut names: Vec<String> = ["phase", "time_s", "tick_s"].map(str::to_owned).into();
-    for what in ["q", "dq", "tau"] {
-        names.extend(joints(what));
-    }
-    names.extend(["quaternion_w", "quaternion_x", "quaternion_y", "quaternion_z"].map(str::to_owned));
-    names
-        .extend(["gyro", "accelerometer"].iter().flat_map(|what| ["x", "y", "z"].map(|axis| format!("{what}_{axis}"))));
-    names.extend(["command_forward", "command_left", "command_yaw", COMPLIANCE].map(str::to_owned));
-    names.extend(joints("target"));
-    names.extend(["kp", "kd"].map(str::to_owned));
-    names
+    let joints = |what: &str| (0..12).map(|joint| format!("{what}_{joint}")).collect();
+    let parts = |what: &str, parts: &[&str]| parts.iter().map(|part| format!("{what}{part}")).collect();
+    let all: [Vec<String>; 10] = [
+        parts("", &["phase", "time_s", "tick_s"]),
+        joints("q"),
+        joints("dq"),
+        joints("tau"),
+        parts("quaternion", &["_w", "_x", "_y", "_z"]),
+        parts("gyro", &["_x", "_y", "_z"]),
+        parts("accelerometer", &["_x", "_y", "_z"]),
+        parts("command", &["_forward", "_left", "_yaw", "_compliance"]),
+        joints("target"),
+        parts("", &["kp", "kd"]),
+    ];
+    all.concat()
 }
 
 impl Row {
@@ -80,8 +70,8 @@ impl Row {
     pub fn from_numbers(numbers: &[f64]) -> Option<Self> {
         let mut rest = numbers;
         fn take<const N: usize>(rest: &mut &[f64]) -> Option<[f64; N]> {
-            let (first, others) = rest.split_first_chunk::<N>()?;
-            *rest = others;
+            let first;
+            (first, *rest) = rest.split_first_chunk()?;
             Some(*first)
         }
         let [time_s, tick_s] = take(&mut rest)?;
@@ -102,12 +92,12 @@ impl Row {
     }
 }
 
-/// Writes a log.
 pub struct Log {
     sender: SyncSender<(&'static str, Row)>,
     thread: JoinHandle<io::Result<()>>,
     lost: u64,
-    has_failed: bool,
+    /// True once nothing can be written any more, as on a full disk.
+    pub has_failed: bool,
 }
 
 /// Returns the path of the older half of a log.
@@ -119,9 +109,6 @@ pub fn older(path: &Path) -> PathBuf {
 
 impl Log {
     /// Opens a log whose two files have at most `rows` rows each. Both files of an earlier log by that name are gone.
-    ///
-    /// # Errors
-    /// The file cannot be created.
     pub fn create(path: &Path, rows: u64) -> io::Result<Self> {
         let file = open(path)?;
         match std::fs::remove_file(older(path)) {
@@ -141,11 +128,6 @@ impl Log {
         self.has_failed |= matches!(sent, Err(TrySendError::Disconnected(_)));
     }
 
-    /// Returns true once nothing can be written any more, as on a full disk.
-    pub fn has_failed(&self) -> bool {
-        self.has_failed
-    }
-
     /// Writes what is left; returns the number of lost rows, and an error if the disk is full.
     pub fn finish(self) -> (u64, io::Result<()>) {
         drop(self.sender);
@@ -160,14 +142,9 @@ fn open(path: &Path) -> io::Result<BufWriter<File>> {
     Ok(file)
 }
 
-fn write(
-    path: &Path,
-    mut file: BufWriter<File>,
-    rows: u64,
-    receiver: &Receiver<(&'static str, Row)>,
-) -> io::Result<()> {
+fn write(path: &Path, mut file: BufWriter<File>, rows: u64, sent: &Receiver<(&'static str, Row)>) -> io::Result<()> {
     let mut written = 0;
-    for (phase, row) in receiver {
+    for (phase, row) in sent {
         if written == rows {
             file.flush()?;
             std::fs::rename(path, older(path))?;
@@ -220,19 +197,11 @@ pub(crate) mod tests {
         let lines = |path: &Path| std::fs::read_to_string(path).unwrap().lines().count() - 1;
         assert_eq!((lines(&path), lines(&older(&path))), (5, 10));
         assert!(std::fs::read_to_string(&path).unwrap().lines().last().unwrap().starts_with("policy,34"));
-        // The next one has nothing of this one.
-        Log::create(&path, 10).unwrap().finish().1.unwrap();
-        assert!(lines(&path) == 0 && !older(&path).exists());
-    }
-
-    #[test]
-    fn clocks_keep_their_milliseconds_for_days() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("log.csv");
+        // The next one has nothing of this one. Clocks keep their milliseconds for days.
         let mut log = Log::create(&path, 10).unwrap();
-        let late = Row { time_s: 400_000.002, tick_s: 4_000_000.001, ..row(0.0) };
-        log.add("policy", &late);
+        log.add("policy", &Row { time_s: 400_000.002, tick_s: 4_000_000.001, ..row(0.0) });
         log.finish().1.unwrap();
+        assert!(lines(&path) == 1 && !older(&path).exists());
         let text = std::fs::read_to_string(&path).unwrap();
         assert!(text.lines().last().unwrap().starts_with("policy,400000.0020,4000000.0010,"), "{text}");
     }

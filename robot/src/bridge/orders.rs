@@ -1,5 +1,6 @@
 /*! What people want: lines of JSON on standard input or from UDP on this machine, keys, and the robot's own remote. */
 
+use anyhow::anyhow;
 use serde::Deserialize;
 use supple::task::Command;
 use supple::util::terminal::echo;
@@ -18,16 +19,6 @@ pub enum Order {
     Change([f64; 3]),
     /// The end of the program, after lying down.
     Quit,
-}
-
-/// The reason why a line is no order.
-#[derive(Debug, thiserror::Error)]
-#[error(
-    "'{line}' is no order ({reason}): expected {{\"do\": \"stand\"}} (or policy, lie, damp, clear) or {{\"forward\": 0.5, \"left\": 0, \"yaw\": 0}}"
-)]
-pub struct OrderError {
-    line: String,
-    reason: String,
 }
 
 #[derive(Deserialize)]
@@ -50,17 +41,26 @@ impl Order {
     ///
     /// # Errors
     /// The line is neither a wish nor a velocity within the range.
-    pub fn from_line(line: &str, range: &FullSticks) -> Result<Self, OrderError> {
+    pub fn from_line(line: &str, range: &FullSticks) -> Result<Self, String> {
         let line = line.trim_start_matches('\u{feff}').trim();
-        let fail = |reason: String| OrderError { line: echo(line).into(), reason: echo(&reason).into() };
-        let value: serde_json::Value = serde_json::from_str(line).map_err(|error| fail(error.to_string()))?;
+        Self::from_json(line, range).map_err(|reason| {
+            format!(
+                "'{}' is no order ({}): expected {{\"do\": \"stand\"}} (or policy, lie, damp, clear) or {{\"forward\": 0.5, \
+                 \"left\": 0, \"yaw\": 0}}",
+                echo(line),
+                echo(&reason.to_string())
+            )
+        })
+    }
+
+    fn from_json(line: &str, range: &FullSticks) -> anyhow::Result<Self> {
+        let value: serde_json::Value = serde_json::from_str(line)?;
         if value.get("do").is_some() {
-            let Do { r#do: wish } = serde_json::from_value(value).map_err(|error| fail(error.to_string()))?;
+            let Do { r#do: wish } = serde_json::from_value(value)?;
             return Ok(Order::Wish(wish));
         }
-        let Velocity { forward, left, yaw, compliance } =
-            serde_json::from_value(value).map_err(|error| fail(error.to_string()))?;
-        range.check([forward, left, yaw]).map_err(|error| fail(format!("{error}; the velocity stays as it was")))?;
+        let Velocity { forward, left, yaw, compliance } = serde_json::from_value(value)?;
+        range.check([forward, left, yaw]).map_err(|error| anyhow!("{error}; the velocity stays as it was"))?;
         Ok(Order::Command(Command { compliance, ..Command::velocity(forward, left, yaw) }))
     }
 
@@ -112,12 +112,9 @@ impl RemoteOrders {
             (pressed(Button::A), Wish::Policy),
             (pressed(Button::X), Wish::Lie),
         ];
-        let mut orders: Vec<Order> =
-            wishes.into_iter().filter(|(given, _)| *given).map(|(_, wish)| Order::Wish(wish)).collect();
-        if (remote.left, remote.right) != (last.left, last.right) {
-            orders.push(Order::Command(full.command(remote)));
-        }
-        orders
+        let wishes = wishes.into_iter().filter(|(given, _)| *given).map(|(_, wish)| Order::Wish(wish));
+        let has_moved = (remote.left, remote.right) != (last.left, last.right);
+        wishes.chain(has_moved.then(|| Order::Command(full.command(remote)))).collect()
     }
 }
 
@@ -125,9 +122,11 @@ impl RemoteOrders {
 mod tests {
     use super::*;
 
+    const FULL: FullSticks = FullSticks([1.0, 0.5, 0.5]);
+
     #[test]
     fn lines_of_json_are_orders_and_others_are_refused() {
-        let from_line = |line: &str| Order::from_line(line, &FullSticks([1.0, 0.5, 0.5]));
+        let from_line = |line: &str| Order::from_line(line, &FULL);
         assert_eq!(from_line(r#"{"do": "stand"}"#).unwrap(), Order::Wish(Wish::Stand));
         assert_eq!(from_line("\u{feff}{\"do\": \"damp\"}").unwrap(), Order::Wish(Wish::Damp));
         let command = Command { compliance: Some(0.03), ..Command::velocity(0.5, 0.0, -0.1) };
@@ -139,11 +138,9 @@ mod tests {
         }
         // A rounding beyond the range is none.
         assert!(from_line(r#"{"forward": 1.0000000001, "left": -0.5, "yaw": 0}"#).is_ok());
+        let far = "forward is 1e308 m/s, expected -1 to 1 m/s; the velocity stays";
         for (line, problem) in [
-            (
-                r#"{"forward": 1e308, "left": 0, "yaw": 0}"#,
-                "forward is 1e308 m/s, expected -1 to 1 m/s; the velocity stays",
-            ),
+            (r#"{"forward": 1e308, "left": 0, "yaw": 0}"#, far),
             (r#"{"forward": 0, "left": -0.51, "yaw": 0}"#, "left is -0.51 m/s, expected -0.5 to 0.5 m/s"),
             (r#"{"forward": 0, "left": 0, "yaw": 0.6}"#, "yaw is 0.6 rad/s, expected -0.5 to 0.5 rad/s"),
         ] {
@@ -158,22 +155,22 @@ mod tests {
 
     #[test]
     fn button_counts_once_until_it_is_released() {
-        let (mut orders, full) = (RemoteOrders::default(), FullSticks([1.0, 0.5, 0.5]));
+        let mut orders = RemoteOrders::default();
         let pressed = Remote::default().with(Button::Start);
-        assert_eq!(orders.take(&pressed, &full), [Order::Wish(Wish::Stand)]);
-        assert_eq!(orders.take(&pressed, &full), []);
-        orders.take(&Remote::default(), &full);
-        assert_eq!(orders.take(&pressed, &full), [Order::Wish(Wish::Stand)]);
+        assert_eq!(orders.take(&pressed, &FULL), [Order::Wish(Wish::Stand)]);
+        assert_eq!(orders.take(&pressed, &FULL), []);
+        orders.take(&Remote::default(), &FULL);
+        assert_eq!(orders.take(&pressed, &FULL), [Order::Wish(Wish::Stand)]);
         let stop = Remote::default().with(Button::L2).with(Button::B);
-        assert_eq!(orders.take(&stop, &full), [Order::Wish(Wish::Damp)]);
+        assert_eq!(orders.take(&stop, &FULL), [Order::Wish(Wish::Damp)]);
     }
 
     #[test]
     fn sticks_at_rest_leave_the_command() {
-        let (mut orders, full) = (RemoteOrders::default(), FullSticks([1.0, 0.5, 0.5]));
-        assert_eq!(orders.take(&Remote { left: [0.04, -0.03], ..Remote::default() }, &full), []);
+        let mut orders = RemoteOrders::default();
+        assert_eq!(orders.take(&Remote { left: [0.04, -0.03], ..Remote::default() }, &FULL), []);
         let ahead = Remote { left: [0.0, 0.5], ..Remote::default() };
-        assert_eq!(orders.take(&ahead, &full), [Order::Command(Command::velocity(0.5, 0.0, 0.0))]);
-        assert_eq!(orders.take(&ahead, &full), []);
+        assert_eq!(orders.take(&ahead, &FULL), [Order::Command(Command::velocity(0.5, 0.0, 0.0))]);
+        assert_eq!(orders.take(&ahead, &FULL), []);
     }
 }

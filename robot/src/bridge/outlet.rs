@@ -92,7 +92,6 @@ mod tests {
     use std::sync::mpsc::channel;
 
     use super::*;
-    use crate::message::{Field, SERVO};
 
     #[test]
     fn hanging_bridge_is_damped_and_stays_so_until_reset() {
@@ -100,8 +99,7 @@ mod tests {
         let outlet = Outlet::new(Duration::from_millis(100), move |motors| {
             let _ = sender.send((Instant::now(), motors[0].clone()));
         });
-        let command: [MotorCmd; JOINTS] =
-            std::array::from_fn(|_| MotorCmd { mode: SERVO, kp: 40.0, ..MotorCmd::zero() });
+        let command = motor::holding(&[0.0; JOINTS], &[40.0; JOINTS], &[0.0; JOINTS]);
         assert!(outlet.send(&command));
         let begin = Instant::now();
         assert_eq!(sent.recv().unwrap().1, command[0]);
@@ -121,7 +119,7 @@ mod tests {
         let (sender, sent) = channel();
         let outlet = Outlet::new(Duration::from_secs(60), move |motors| drop(sender.send(motors[0].clone())));
         let ended = std::panic::catch_unwind(std::panic::AssertUnwindSafe(move || {
-            outlet.send(&std::array::from_fn(|_| MotorCmd { mode: SERVO, kp: 40.0, ..MotorCmd::zero() }));
+            outlet.send(&motor::holding(&[0.0; JOINTS], &[40.0; JOINTS], &[0.0; JOINTS]));
             panic!("as a policy may");
         }));
         assert!(ended.is_err());

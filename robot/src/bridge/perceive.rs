@@ -5,23 +5,11 @@ use std::sync::Arc;
 use supple::estimate::contact::{ContactEstimator, ContactNetwork, RATE_HZ};
 use supple::estimate::external_force::{ForceObserver, ForceReading};
 use supple::estimate::{EncoderReading, Estimator, EstimatorConfig};
-use supple::mujoco;
 use supple::robot::{Joints, Robot, RobotState};
 use supple::util::files::FileError;
 
 use super::reading::Reading;
 use super::safety::Fault;
-
-/// Error while starting the estimators.
-#[derive(Debug, thiserror::Error)]
-pub enum PerceptionError {
-    /// The contact network cannot be loaded.
-    #[error(transparent)]
-    Contact(#[from] FileError),
-    /// MuJoCo cannot compile the robot alone.
-    #[error(transparent)]
-    Physics(#[from] mujoco::Error),
-}
 
 /// The estimators of one robot.
 pub struct Perception {
@@ -37,10 +25,7 @@ pub struct Perception {
 
 impl Perception {
     /// Creates the estimators; they start with the first reading, in which the robot should be at rest.
-    ///
-    /// # Errors
-    /// The contact network or the robot cannot be loaded.
-    pub fn new(robot: Arc<Robot>) -> Result<Self, PerceptionError> {
+    pub fn new(robot: Arc<Robot>) -> anyhow::Result<Self> {
         Ok(Perception {
             contacts: ContactEstimator::new(ContactNetwork::shipped()?),
             estimator: Estimator::new(Arc::clone(&robot), EstimatorConfig::default()),
@@ -53,10 +38,7 @@ impl Perception {
     }
 
     /// Forgets all readings; the next one is a first one.
-    ///
-    /// # Errors
-    /// The contact network cannot be loaded.
-    pub fn restart(&mut self) -> Result<(), PerceptionError> {
+    pub fn restart(&mut self) -> Result<(), FileError> {
         self.contacts = ContactEstimator::new(ContactNetwork::shipped()?);
         self.estimator = Estimator::new(Arc::clone(&self.robot), EstimatorConfig::default());
         self.forces.reset();
@@ -65,23 +47,14 @@ impl Perception {
     }
 
     /// Takes a reading, `dt_s` \[s\] after the last one; `targets` are the joint targets that the policy gave last \[rad\].
-    ///
-    /// # Errors
-    /// The estimators refuse the reading.
     pub fn take(&mut self, reading: &Reading, targets: &Joints, dt_s: f64) -> Result<(), Fault> {
         let fault = |error: &dyn std::fmt::Display| Fault::Estimate { reason: error.to_string() };
         self.touch(&reading.encoders, targets, dt_s);
         self.before = Some(reading.encoders);
-        let estimate = self
-            .estimator
-            .update(Some(&reading.imu), Some(&reading.encoders), self.touching, dt_s)
-            .map_err(|error| fault(&error))?;
-        let felt = ForceReading {
-            imu: reading.imu,
-            encoders: reading.encoders,
-            torques: reading.torques,
-            world_from_base: estimate.world_from_base,
-        };
+        let Reading { imu, encoders, torques, .. } = *reading;
+        let estimate = self.estimator.update(Some(&imu), Some(&encoders), self.touching, dt_s);
+        let world_from_base = estimate.map_err(|error| fault(&error))?.world_from_base;
+        let felt = ForceReading { imu, encoders, torques, world_from_base };
         self.forces.update(&felt, dt_s).map_err(|error| fault(&error))?;
         Ok(())
     }
@@ -94,11 +67,9 @@ impl Perception {
         let mut at_s = if self.before.is_some() { tick_s - self.since_contact_s } else { dt_s };
         while at_s <= dt_s + 1e-12 {
             let part = at_s / dt_s;
-            let mix = |a: &Joints, b: &Joints| -> Joints {
-                std::array::from_fn(|joint| a[joint] + part * (b[joint] - a[joint]))
-            };
-            let reading =
-                EncoderReading { angles: mix(&before.angles, &now.angles), rates: mix(&before.rates, &now.rates) };
+            let [angles, rates] = [(&before.angles, &now.angles), (&before.rates, &now.rates)]
+                .map(|(a, b)| std::array::from_fn(|joint| a[joint] + part * (b[joint] - a[joint])));
+            let reading = EncoderReading { angles, rates };
             self.touching = self.contacts.update(&reading, targets);
             at_s += tick_s;
         }

@@ -1,6 +1,5 @@
 /*! The states of the bridge: passive, stand up, hold, policy, lie down, and damped, which only a person ends. */
 
-use serde::Serialize;
 use supple::robot::{Joints, same_in_every_leg};
 
 use super::safety::Fault;
@@ -24,29 +23,19 @@ pub enum Phase {
     /// The motors only damp.
     Passive,
     /// The robot stands up, from these joint angles \[rad\], since this time \[s\].
-    StandUp {
-        /// Joint angles at the beginning.
-        from: Joints,
-        /// Time of the beginning \[s\].
-        since_s: f64,
-    },
+    StandUp { from: Joints, since_s: f64 },
     /// The robot holds the policy's nominal pose.
     Hold,
     /// The policy acts.
     Policy,
-    /// The robot lies down.
-    LieDown {
-        /// Joint angles at the beginning.
-        from: Joints,
-        /// Time of the beginning \[s\].
-        since_s: f64,
-    },
+    /// The robot lies down, from these joint angles \[rad\], since this time \[s\].
+    LieDown { from: Joints, since_s: f64 },
     /// The motors damp until a person clears the fault.
     Damped(Fault),
 }
 
 /// A wish of the person who operates the robot.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, serde::Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Wish {
     /// Stand up, or stop the policy and stand.
@@ -79,10 +68,8 @@ impl Phase {
         !matches!(self, Phase::Passive | Phase::Damped(_))
     }
 
-    /// Returns the phase that follows a wish at `now_s` \[s\], with joints at `angles` \[rad\].
-    ///
-    /// # Errors
-    /// The wish does not fit the phase; the text says what to do first.
+    /// Returns the phase that follows a wish at `now_s` \[s\], with joints at `angles` \[rad\]; if the wish does not fit the phase, the
+    /// text says what to do first.
     pub fn wish(&self, wish: Wish, angles: &Joints, now_s: f64) -> Result<Phase, String> {
         let (from, since_s) = (*angles, now_s);
         match (self, wish) {

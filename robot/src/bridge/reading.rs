@@ -4,62 +4,33 @@ use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use supple::estimate::{EncoderReading, ImuReading};
 use supple::robot::{JOINTS, Joints};
 
-use crate::message::{HEAD, LowState, crc};
+use crate::message::{HEAD, LowState, MotorState, crc};
 use crate::remote::Remote;
 
 /// A state of the robot.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Reading {
-    /// Clock of the robot \[ms\].
-    pub tick_ms: u32,
-    /// Gyro and accelerometer.
+    pub tick_ms: u32, // clock of the robot [ms]
     pub imu: ImuReading,
-    /// The IMU's own orientation, world from base.
-    pub world_from_base: UnitQuaternion<f64>,
-    /// Joint angles and rates.
+    pub world_from_base: UnitQuaternion<f64>, // the IMU's own orientation, world from base
     pub encoders: EncoderReading,
-    /// Torques of the motors [N·m].
-    pub torques: Joints,
-    /// Temperature of the hottest motor \[°C\], and the motor.
-    pub hottest: (u8, usize),
-    /// State of charge \[%\]; `None` if the battery reports nothing, as in simulators.
-    pub charge_percent: Option<u8>,
-    /// The remote.
+    pub torques: Joints,            // torques of the motors [N·m]
+    pub hottest: (u8, usize),       // temperature of the hottest motor [°C], and the motor
+    pub charge_percent: Option<u8>, // state of charge [%]; `None` if the battery reports nothing, as in simulators
     pub remote: Remote,
 }
 
-/// The reason why a state is ignored.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-pub enum Ignored {
-    /// The checksum does not fit.
-    #[error("its checksum is {found:08x}, expected {expected:08x}")]
-    Checksum {
-        /// The checksum of the message.
-        found: u32,
-        /// The checksum of its content.
-        expected: u32,
-    },
-    /// The head is another one.
-    #[error("its head is {0:02X?}, expected [FE, EF]")]
-    Head([u8; 2]),
-}
-
 impl Reading {
-    /// Reads a state. A checksum of zero counts as none: `unitree_mujoco` sets none.
-    ///
-    /// # Errors
-    /// Checksum or head do not fit.
-    pub fn new(state: &LowState) -> Result<Self, Ignored> {
+    /// Reads a state, or says why it is to be ignored. A checksum of zero counts as none: `unitree_mujoco` sets none.
+    pub fn new(state: &LowState) -> Result<Self, String> {
         let expected = crc(state);
         if state.crc != expected && !Self::is_unsigned(state) {
-            return Err(Ignored::Checksum { found: state.crc, expected });
+            return Err(format!("its checksum is {:08x}, expected {expected:08x}", state.crc));
         }
         if state.head != HEAD && !Self::is_unsigned(state) {
-            return Err(Ignored::Head(state.head));
+            return Err(format!("its head is {:02X?}, expected [FE, EF]", state.head));
         }
-        let of_motors = |value: fn(&crate::message::MotorState) -> f32| -> Joints {
-            std::array::from_fn(|joint| f64::from(value(&state.motor_state[joint])))
-        };
+        let of_motors = |value: fn(&MotorState) -> f32| state.of_motors(value);
         let imu = &state.imu_state;
         let [w, x, y, z] = imu.quaternion.map(f64::from);
         let hottest = state.motor_state[..JOINTS].iter().enumerate().max_by_key(|(_, motor)| motor.temperature);
@@ -79,7 +50,6 @@ impl Reading {
         })
     }
 
-    /// Returns true if a state has no checksum.
     pub fn is_unsigned(state: &LowState) -> bool {
         state.crc == 0
     }
@@ -116,7 +86,7 @@ pub(super) mod tests {
         assert!(reading.tilt_rad() < 1e-6);
         let mut flipped = state.clone();
         flipped.motor_state[3].q = f32::from_bits(flipped.motor_state[3].q.to_bits() ^ 1);
-        assert!(matches!(Reading::new(&flipped), Err(Ignored::Checksum { .. })));
+        assert!(Reading::new(&flipped).unwrap_err().contains("checksum"));
         assert!(Reading::new(&LowState { crc: 0, ..flipped }).is_ok());
     }
 }

@@ -4,26 +4,27 @@ use std::collections::BTreeMap;
 use std::io::Read;
 use std::path::Path;
 
+use anyhow::anyhow;
 use mcap::read::LinearReader;
 use mcap::records::Record;
-use supple::robot::Joints;
-use supple::util::files::read_bounded;
+use supple::util::files::{FileError, read_bounded};
 
-use super::{CheckError, Columns};
+use super::Columns;
 use crate::bridge::log::{COMPLIANCE, Row};
-use crate::message::{Cdr, Field, LowCmd, LowState, MotorCmd, MotorState};
+use crate::message::{Cdr, Field, LowCmd, LowState};
 
 /// Most bytes of a file.
 const MOST_BYTES: u64 = 1 << 30;
 
 /// Reads each command with the state before it. A bag does not say what the policy was commanded: `constants` does.
-///
-/// # Errors
-/// The file cannot be read or is no MCAP, a message is not the Go2's, or a commanded velocity is missing.
-pub(super) fn read(path: &Path, columns: &Columns) -> Result<Vec<Row>, CheckError> {
-    let fail = |reason: String| CheckError::Read { path: path.display().to_string(), reason };
+pub(super) fn read(path: &Path, columns: &Columns) -> anyhow::Result<Vec<Row>> {
+    let fail = FileError::of("cannot read the log", path);
     let bytes = read_bounded(path, MOST_BYTES).map_err(|error| fail(error.to_string()))?;
-    let constant = |name| columns.constants.get(name).copied().ok_or(CheckError::Command { name });
+    let constant = |name| {
+        let words = "a bag does not say what the policy was commanded: give";
+        let of_constants = columns.constants.get(name).copied();
+        of_constants.ok_or_else(|| anyhow!("{words} {name} in a YAML file (--columns), under `constants`"))
+    };
     let command = [constant("command_forward")?, constant("command_left")?, constant("command_yaw")?];
     let compliance = columns.constants.get(COMPLIANCE).copied().unwrap_or(0.0);
     let (mut state, mut start_ns, mut rows) = (None, None, Vec::new());
@@ -42,10 +43,9 @@ pub(super) fn read(path: &Path, columns: &Columns) -> Result<Vec<Row>, CheckErro
     })
     .map_err(fail)?;
     if rows.is_empty() {
-        return Err(fail(format!(
-            "it has no command after a state, on topics that end in lowcmd and lowstate; its topics: {}",
-            topics.into_values().collect::<Vec<_>>().join(", ")
-        )));
+        let topics = topics.into_values().collect::<Vec<_>>().join(", ");
+        let problem = "it has no command after a state, on topics that end in lowcmd and lowstate";
+        return Err(fail(format!("{problem}; its topics: {topics}")).into());
     }
     Ok(rows)
 }
@@ -99,25 +99,19 @@ fn decoded<T: Field>(message: &[u8]) -> Option<T> {
 }
 
 fn row(time_s: f64, state: &LowState, sent: &LowCmd, command: [f64; 3]) -> Row {
-    let of_motors = |value: fn(&MotorState) -> f32| -> Joints {
-        std::array::from_fn(|joint| f64::from(value(&state.motor_state[joint])))
-    };
-    let of_commands = |value: fn(&MotorCmd) -> f32| -> Joints {
-        std::array::from_fn(|joint| f64::from(value(&sent.motor_cmd[joint])))
-    };
     Row {
         time_s,
         tick_s: 1e-3 * f64::from(state.tick),
-        q: of_motors(|motor| motor.q),
-        dq: of_motors(|motor| motor.dq),
-        tau: of_motors(|motor| motor.tau_est),
+        q: state.of_motors(|motor| motor.q),
+        dq: state.of_motors(|motor| motor.dq),
+        tau: state.of_motors(|motor| motor.tau_est),
         quaternion: state.imu_state.quaternion.map(f64::from),
         gyro: state.imu_state.gyroscope.map(f64::from),
         accelerometer: state.imu_state.accelerometer.map(f64::from),
         command,
         compliance: 0.0,
-        target: of_commands(|motor| motor.q),
-        gains: [of_commands(|motor| motor.kp)[0], of_commands(|motor| motor.kd)[0]],
+        target: std::array::from_fn(|joint| f64::from(sent.motor_cmd[joint].q)),
+        gains: [sent.motor_cmd[0].kp, sent.motor_cmd[0].kd].map(f64::from),
     }
 }
 
@@ -128,7 +122,7 @@ pub(super) mod tests {
     use super::*;
     use crate::check::LogRows;
     use crate::message::tests::cdr;
-    use crate::message::{SERVO, fill};
+    use crate::message::{MotorCmd, SERVO, filled};
 
     /// A bag of these rows, as a recorder of ROS 2 writes it.
     fn bag(rows: &[Row]) -> Vec<u8> {
@@ -166,11 +160,11 @@ pub(super) mod tests {
         }
     }
 
-    fn read_bytes(bytes: &[u8]) -> Result<LogRows, CheckError> {
+    fn read_bytes(bytes: &[u8], columns: &Columns) -> Result<LogRows, String> {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("log.mcap");
         std::fs::write(&path, bytes).unwrap();
-        LogRows::read(&path, &columns())
+        LogRows::read(&path, columns).map_err(|error| error.to_string())
     }
 
     #[test]
@@ -184,7 +178,7 @@ pub(super) mod tests {
                 ..crate::bridge::log::tests::row(f64::from(index))
             })
             .collect();
-        let read = read_bytes(&bag(&rows)).unwrap();
+        let read = read_bytes(&bag(&rows), &columns()).unwrap();
         assert_eq!(read.0.len(), rows.len());
         for (index, ((phase, read), row)) in read.0.iter().zip(&rows).enumerate() {
             assert_eq!(phase, if index < 5 { "hold" } else { "policy" });
@@ -198,26 +192,21 @@ pub(super) mod tests {
     fn broken_bag_is_refused_in_words() {
         let bytes = bag(&[crate::bridge::log::tests::row(1.0)]);
         for length in (0..bytes.len()).step_by(7) {
-            read_bytes(&bytes[..length]).unwrap_err();
+            read_bytes(&bytes[..length], &columns()).unwrap_err();
         }
         for at in (0..bytes.len()).step_by(11) {
             let mut bytes = bytes.clone();
             bytes[at] ^= 0x80;
-            let _ = read_bytes(&bytes);
+            let _ = read_bytes(&bytes, &columns());
         }
-        let mut wrong = LowState::zero();
-        fill(&mut wrong, 2);
         let mut writer = mcap::Writer::new(Cursor::new(Vec::new())).unwrap();
         let channel_id = writer.add_channel(0, "rt/lowstate", "cdr", &BTreeMap::new()).unwrap();
         let header = mcap::records::MessageHeader { channel_id, sequence: 0, log_time: 0, publish_time: 0 };
-        writer.write_to_known_channel(&header, &cdr(&wrong)[..500]).unwrap();
+        writer.write_to_known_channel(&header, &cdr(&filled::<LowState>(2))[..500]).unwrap();
         writer.finish().unwrap();
-        let error = read_bytes(&writer.into_inner().into_inner()).unwrap_err().to_string();
+        let error = read_bytes(&writer.into_inner().into_inner(), &columns()).unwrap_err();
         assert!(error.contains("rt/lowstate") && error.contains("LowState"), "{error}");
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("log.mcap");
-        std::fs::write(&path, &bytes).unwrap();
-        let error = LogRows::read(&path, &Columns::default()).unwrap_err().to_string();
+        let error = read_bytes(&bytes, &Columns::default()).unwrap_err();
         assert!(error.contains("command_forward") && error.contains("constants"), "{error}");
     }
 }

@@ -4,11 +4,9 @@ use supple::robot::{GRAVITY_M_S2, JOINTS, Joints, joint_names};
 
 use crate::bridge::log::Row;
 
-/// A usual mistake: its name, and how to undo it.
+/// A usual mistake: its name, and how to undo it in a row.
 pub struct Mistake {
-    /// The name of the mistake.
     pub text: String,
-    /// Undoes it in a row.
     pub undo: Box<dyn Fn(&mut Row)>,
 }
 
@@ -39,27 +37,28 @@ pub fn permuted(values: &Joints, order: &[usize; JOINTS]) -> Joints {
 pub fn mistakes() -> Vec<Mistake> {
     let mut all = Vec::new();
     for (name, order) in orders() {
-        all.push(mistake(format!("the readings of the joints are in the order {name}"), move |row| {
-            (row.q, row.dq, row.tau) =
-                (permuted(&row.q, &order), permuted(&row.dq, &order), permuted(&row.tau, &order));
-        }));
-        all.push(mistake(format!("the joint targets are in the order {name}"), move |row| {
-            row.target = permuted(&row.target, &order);
-        }));
+        let readings = move |row: &mut Row| {
+            let [q, dq, tau] = [&row.q, &row.dq, &row.tau].map(|values| permuted(values, &order));
+            (row.q, row.dq, row.tau) = (q, dq, tau);
+        };
+        let targets = move |row: &mut Row| row.target = permuted(&row.target, &order);
+        all.push(mistake(format!("the readings of the joints are in the order {name}"), readings));
+        all.push(mistake(format!("the joint targets are in the order {name}"), targets));
         all.push(mistake(format!("readings and targets of the joints are in the order {name}"), move |row| {
-            (row.q, row.dq, row.tau) =
-                (permuted(&row.q, &order), permuted(&row.dq, &order), permuted(&row.tau, &order));
-            row.target = permuted(&row.target, &order);
+            readings(row);
+            targets(row);
         }));
     }
     let names = joint_names();
-    let mut signs: Vec<(String, Vec<usize>)> = (0..JOINTS).map(|joint| (names[joint].clone(), vec![joint])).collect();
-    for (part, name) in ["all hips", "all thighs", "all calves"].into_iter().enumerate() {
-        signs.push((name.to_owned(), (part..JOINTS).step_by(3).collect()));
-    }
-    signs.push(("the right hips".to_owned(), vec![0, 6]));
-    signs.push(("the left hips".to_owned(), vec![3, 9]));
-    for (name, joints) in signs {
+    let groups: [(&str, &[usize]); 5] = [
+        ("all hips", &[0, 3, 6, 9]),
+        ("all thighs", &[1, 4, 7, 10]),
+        ("all calves", &[2, 5, 8, 11]),
+        ("the right hips", &[0, 6]),
+        ("the left hips", &[3, 9]),
+    ];
+    let single = names.iter().enumerate().map(|(joint, name)| (name.as_str(), vec![joint]));
+    for (name, joints) in single.chain(groups.map(|(name, joints)| (name, joints.to_vec()))) {
         let of_readings = joints.clone();
         all.push(mistake(format!("angle and rate of {name} have the wrong sign"), move |row| {
             for joint in &of_readings {

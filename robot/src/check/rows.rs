@@ -2,9 +2,10 @@
 
 use std::path::Path;
 
+use anyhow::bail;
 use serde::Deserialize;
+use supple::util::files::FileError;
 
-use super::CheckError;
 use crate::bridge::log::{COMPLIANCE, Row, columns};
 
 /// Rows of the stance before the policy, in which the estimators settle.
@@ -35,7 +36,7 @@ impl LogRows {
     ///
     /// # Errors
     /// A file cannot be read, or lacks a column.
-    pub fn read(path: &Path, columns: &Columns) -> Result<Self, CheckError> {
+    pub fn read(path: &Path, columns: &Columns) -> anyhow::Result<Self> {
         if path.extension().is_some_and(|extension| extension == "mcap") {
             let rows = super::bag::read(path, columns)?;
             let begin_s = rows.first().map_or(0.0, |row| row.time_s);
@@ -43,21 +44,16 @@ impl LogRows {
             return Ok(LogRows(rows.into_iter().map(phased).collect()));
         }
         let older = crate::bridge::log::older(path);
-        let mut rows = if older.exists() { Self::read_one(&older, columns)?.0 } else { Vec::new() };
-        rows.extend(Self::read_one(path, columns)?.0);
+        let mut rows = if older.exists() { Self::read_one(&older, columns)? } else { Vec::new() };
+        rows.extend(Self::read_one(path, columns)?);
         Ok(LogRows(rows))
     }
 
-    fn read_one(path: &Path, names: &Columns) -> Result<Self, CheckError> {
-        let fail = |reason: String| CheckError::Read { path: path.display().to_string(), reason };
-        let mut table =
-            csv::ReaderBuilder::new().flexible(true).from_path(path).map_err(|error| fail(error.to_string()))?;
-        let found: Vec<String> = table
-            .headers()
-            .map_err(|error| fail(error.to_string()))?
-            .iter()
-            .map(|name| name.trim().to_owned())
-            .collect();
+    fn read_one(path: &Path, names: &Columns) -> anyhow::Result<Vec<(String, Row)>> {
+        let fail = FileError::of("cannot read the log", path);
+        let mut table = csv::ReaderBuilder::new().flexible(true).from_path(path).map_err(fail)?;
+        let headers = table.headers().map_err(fail)?;
+        let found: Vec<String> = headers.iter().map(|name| name.trim().to_owned()).collect();
         let place = |ours: &str| {
             let name = names.names.get(ours).map_or(ours, String::as_str);
             found.iter().position(|known| known == name)
@@ -70,12 +66,16 @@ impl LogRows {
                 (None, Some(constant)) => Err(*constant),
                 // Of the policy's own compliance, in older logs and those of others.
                 (None, None) if ours == COMPLIANCE => Err(0.0),
-                (None, None) => return Err(CheckError::Column { name: ours.clone(), found: found.join(", ") }),
+                (None, None) => bail!(
+                    "the log has no column '{ours}': describe its columns in a YAML file (--columns), with the name of each of ours \
+                     and that of the log's; it has: {}",
+                    found.join(", ")
+                ),
             });
         }
         let mut rows = Vec::new();
         for record in table.records() {
-            let record = record.map_err(|error| fail(error.to_string()))?;
+            let record = record.map_err(fail)?;
             // The last line of a program that was killed.
             if record.len() < found.len() {
                 continue;
@@ -90,7 +90,7 @@ impl LogRows {
             let logged = phase.and_then(|place| record.get(place));
             rows.push((logged.unwrap_or(phase_at(row.time_s - begin_s, names)).to_owned(), row));
         }
-        Ok(LogRows(rows))
+        Ok(rows)
     }
 
     /// Returns the rows of one run of the policy, at most `most`, with some of the stance before it: of the last run that is at least
@@ -121,37 +121,41 @@ fn phase_at(time_s: f64, columns: &Columns) -> &'static str {
 mod tests {
     use super::*;
 
-    #[test]
-    fn log_of_another_program_is_read_by_the_names_of_its_columns() {
+    /// Reads a log with this text, and says what is wrong with it.
+    fn read(text: &str, columns: &Columns) -> Result<Vec<(String, Row)>, String> {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("log.csv");
+        std::fs::write(&path, text).unwrap();
+        LogRows::read(&path, columns).map(|rows| rows.0).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn log_of_another_program_is_read_by_the_names_of_its_columns() {
         let header = columns().join(",").replace("gyro_x", "omega_x").replace(",kp,kd", "");
         let row = crate::bridge::log::tests::row(1.0);
         let numbers: Vec<String> = row.numbers().iter().map(f64::to_string).collect();
-        std::fs::write(&path, format!("{header}\npolicy,{}\n", numbers[..numbers.len() - 2].join(","))).unwrap();
-        let error = LogRows::read(&path, &Columns::default()).unwrap_err().to_string();
+        let text = format!("{header}\npolicy,{}\n", numbers[..numbers.len() - 2].join(","));
+        let error = read(&text, &Columns::default()).unwrap_err();
         assert!(error.contains("gyro_x") && error.contains("omega_x"), "{error}");
-        let mut names = Columns::default();
-        names.names.insert("gyro_x".to_owned(), "omega_x".to_owned());
-        names.constants.insert("kp".to_owned(), 40.0);
-        names.constants.insert("kd".to_owned(), 1.0);
-        let read = LogRows::read(&path, &names).unwrap();
-        assert_eq!(read.0, [("policy".to_owned(), Row { gains: [40.0, 1.0], ..row })]);
+        let described = Columns {
+            names: [("gyro_x".to_owned(), "omega_x".to_owned())].into(),
+            constants: [("kp".to_owned(), 40.0), ("kd".to_owned(), 1.0)].into(),
+            from_s: 0.0,
+        };
+        let expected = [("policy".to_owned(), Row { gains: [40.0, 1.0], ..row })];
+        assert_eq!(read(&text, &described).unwrap(), expected);
     }
 
     #[test]
     fn torn_last_line_and_a_missing_compliance_leave_the_other_rows() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("log.csv");
         let row = Row { compliance: 0.0, ..crate::bridge::log::tests::row(1.0) };
         let place = columns().iter().position(|name| name == COMPLIANCE).unwrap();
         let mut numbers: Vec<String> = row.numbers().iter().map(f64::to_string).collect();
         numbers.remove(place - 1);
         let header = columns().join(",").replace(",command_compliance", "");
         let line = format!("policy,{}", numbers.join(","));
-        std::fs::write(&path, format!("{header}\n{line}\n{}", &line[..line.len() / 2])).unwrap();
-        let read = LogRows::read(&path, &Columns::default()).unwrap();
-        assert_eq!(read.0, [("policy".to_owned(), row)]);
+        let text = format!("{header}\n{line}\n{}", &line[..line.len() / 2]);
+        assert_eq!(read(&text, &Columns::default()).unwrap(), [("policy".to_owned(), row)]);
     }
 
     #[test]

@@ -5,13 +5,14 @@ settings below. Whatever is sent at a fixed rate is sent best-effort: a reliable
 killed counts as alive, so that one dead `ros2 topic echo` would stop the robot.
 */
 
-pub mod switcher;
+pub(crate) mod switcher;
 mod transport;
 
 use std::net::Ipv4Addr;
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
+use anyhow::{Context, Result, anyhow, bail, ensure};
 use dust_dds::dds_async::configuration::DustDdsConfigurationBuilder;
 use dust_dds::dds_async::data_reader::DataReaderAsync;
 use dust_dds::dds_async::domain_participant_factory::DomainParticipantFactoryAsync;
@@ -20,9 +21,7 @@ use dust_dds::domain::domain_participant_factory::DomainParticipantFactory;
 use dust_dds::infrastructure::error::{DdsError, DdsResult};
 use dust_dds::infrastructure::listener::NO_LISTENER;
 use dust_dds::infrastructure::qos::{DataReaderQos, DataWriterQos, QosKind};
-use dust_dds::infrastructure::qos_policy::{
-    HistoryQosPolicy, HistoryQosPolicyKind, ReliabilityQosPolicy, ReliabilityQosPolicyKind,
-};
+use dust_dds::infrastructure::qos_policy::{HistoryQosPolicy, HistoryQosPolicyKind, ReliabilityQosPolicy};
 use dust_dds::infrastructure::sample_info::{ANY_INSTANCE_STATE, ANY_SAMPLE_STATE, ANY_VIEW_STATE};
 use dust_dds::infrastructure::status::{NO_STATUS, StatusKind};
 use dust_dds::infrastructure::time::{Duration, DurationKind};
@@ -35,47 +34,10 @@ use dust_dds::xtypes::type_support::TypeSupport;
 use network_interface::{Addr, NetworkInterface, NetworkInterfaceConfig};
 
 /// The largest DDS domain: the ports of the next one would be beyond 65535.
-pub const MAX_DOMAIN: u16 = 231;
+const MAX_DOMAIN: u16 = 231;
 
-/// The reason why a node cannot be opened or used.
-#[derive(Debug, thiserror::Error)]
-pub enum NodeError {
-    /// There is no such interface.
-    #[error("there is no network interface '{name}' with an IPv4 address; there are: {known}")]
-    Interface {
-        /// The name that was given.
-        name: String,
-        /// The interfaces that have an IPv4 address.
-        known: String,
-    },
-    /// The domain is too large.
-    #[error("DDS domain {found}: expected 0 to {MAX_DOMAIN}; a Go2 is in domain 0")]
-    Domain {
-        /// The domain that was given.
-        found: u16,
-    },
-    /// A port is in use, or the address is not one of this machine.
-    #[error("cannot open the ports of DDS domain {domain} on {address}: {source}")]
-    Ports {
-        /// The domain.
-        domain: u16,
-        /// The address.
-        address: Ipv4Addr,
-        /// Reason given by the operating system.
-        source: std::io::Error,
-    },
-    /// dust_dds refuses.
-    #[error("DDS, {what}: {reason}")]
-    Dds {
-        /// The attempted action.
-        what: &'static str,
-        /// Reason given by dust_dds.
-        reason: String,
-    },
-}
-
-fn dds(what: &'static str) -> impl Fn(DdsError) -> NodeError {
-    move |error| NodeError::Dds { what, reason: format!("{error:?}") }
+fn dds(what: &'static str) -> impl Fn(DdsError) -> anyhow::Error {
+    move |error| anyhow!("DDS, {what}: {error:?}")
 }
 
 /// The place in a network where a node listens and speaks.
@@ -95,10 +57,8 @@ impl Place {
     ///
     /// # Errors
     /// There is no such interface, or the domain is too large.
-    pub fn new(interface: &str, domain: u16, peers: Vec<Ipv4Addr>) -> Result<Self, NodeError> {
-        if domain > MAX_DOMAIN {
-            return Err(NodeError::Domain { found: domain });
-        }
+    pub fn new(interface: &str, domain: u16, peers: Vec<Ipv4Addr>) -> Result<Self> {
+        ensure!(domain <= MAX_DOMAIN, "DDS domain {domain}: expected 0 to {MAX_DOMAIN}; a Go2 is in domain 0");
         let interfaces = NetworkInterface::show().unwrap_or_default();
         let ipv4 = |interface: &NetworkInterface| {
             interface.addr.iter().find_map(|addr| if let Addr::V4(addr) = addr { Some(addr.ip) } else { None })
@@ -106,54 +66,52 @@ impl Place {
         let named: Vec<(&str, Ipv4Addr)> =
             interfaces.iter().filter_map(|interface| Some((interface.name.as_str(), ipv4(interface)?))).collect();
         let of_name = || named.iter().find(|(name, _)| *name == interface).map(|(_, address)| *address);
-        let address = interface.parse().ok().or_else(of_name).ok_or_else(|| NodeError::Interface {
-            name: interface.to_owned(),
-            known: named.iter().map(|(name, address)| format!("{name} ({address})")).collect::<Vec<_>>().join(", "),
-        })?;
+        let Some(address) = interface.parse().ok().or_else(of_name) else {
+            let known: Vec<String> = named.iter().map(|(name, address)| format!("{name} ({address})")).collect();
+            bail!("there is no network interface '{interface}' with an IPv4 address; there are: {}", known.join(", "));
+        };
         let peers = if peers.is_empty() && address.is_loopback() { vec![address] } else { peers };
         Ok(Place { domain, address, peers })
     }
 }
 
-/// A message that arrived.
-#[derive(Debug, Clone)]
-pub struct Arrival<T> {
-    /// The message.
+/// The command line of a place in a network.
+#[derive(clap::Args, Debug)]
+#[command(next_help_heading = "Network")]
+pub struct Network {
+    /// Network interface, by name or address; nothing is sent on any other
+    #[arg(long, value_name = "NAME|ADDRESS", default_value = "lo")]
+    pub interface: String,
+    /// DDS domain: 0 for a Go2; simulators use 1
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub domain: u16,
+    /// Address to announce to, for networks without multicast; may be repeated [default: itself, on a loopback interface]
+    #[arg(long, value_name = "ADDRESS")]
+    pub peer: Vec<Ipv4Addr>,
+}
+
+impl Network {
+    pub(crate) fn place(&self) -> Result<Place> {
+        Place::new(&self.interface, self.domain, self.peer.clone())
+    }
+}
+
+/// A message that arrived, with its time and its writer.
+pub(crate) struct Arrival<T> {
     pub message: T,
-    /// Time of the arrival.
     pub at: Instant,
-    /// Identity of the writer.
     pub writer: WriterId,
 }
 
 /// Identity of a writer.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub struct WriterId([u8; 16]);
+pub type WriterId = [u8; 16];
 
-impl WriterId {
-    /// Creates an identity from its bytes.
-    pub const fn of_bytes(bytes: [u8; 16]) -> Self {
-        WriterId(bytes)
-    }
-}
+/// How much is done for a message to arrive: best effort for what is sent at a fixed rate, where a lost message is lost; reliable for
+/// requests and responses, which are repeated.
+pub use dust_dds::infrastructure::qos_policy::ReliabilityQosPolicyKind as Delivery;
 
-/// How much is done for a message to arrive.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Delivery {
-    /// A lost message is lost: for what is sent at a fixed rate.
-    BestEffort,
-    /// A lost message is repeated: for requests and responses.
-    Reliable,
-}
-
-impl Delivery {
-    fn qos(self) -> ReliabilityQosPolicy {
-        let kind = match self {
-            Delivery::BestEffort => ReliabilityQosPolicyKind::BestEffort,
-            Delivery::Reliable => ReliabilityQosPolicyKind::Reliable,
-        };
-        ReliabilityQosPolicy { kind, max_blocking_time: DurationKind::Finite(Duration::new(0, 100_000_000)) }
-    }
+fn reliability(kind: Delivery) -> ReliabilityQosPolicy {
+    ReliabilityQosPolicy { kind, max_blocking_time: DurationKind::Finite(Duration::new(0, 100_000_000)) }
 }
 
 /// Messages kept by a reader until they are taken.
@@ -171,23 +129,21 @@ pub struct Publisher<T> {
     writer: DataWriter<T>,
 }
 
-/// Keeps a subscription alive.
-pub struct Subscription<T> {
-    _reader: DataReader<T>,
-}
+/// A subscription, which lasts until it is dropped.
+pub(crate) type Subscription<T> = DataReader<T>;
 
 impl<T: TypeSupport> Publisher<T> {
     /// Sends a message.
     ///
     /// # Errors
     /// A reliable reader does not answer, or the participant is gone.
-    pub fn send(&self, message: T) -> Result<(), NodeError> {
+    pub fn send(&self, message: T) -> Result<()> {
         self.writer.write(message, None).map_err(dds("sending"))
     }
 
     /// Returns the identity that arrivals of its messages carry.
     pub fn id(&self) -> WriterId {
-        WriterId(self.writer.get_instance_handle().into())
+        self.writer.get_instance_handle().into()
     }
 }
 
@@ -196,9 +152,10 @@ impl Node {
     ///
     /// # Errors
     /// The ports are in use, or the address is not one of this machine.
-    pub fn open(place: &Place) -> Result<Self, NodeError> {
+    pub fn open(place: &Place) -> Result<Self> {
         let Place { domain, address, .. } = *place;
-        let udp = transport::Udp::open(place).map_err(|source| NodeError::Ports { domain, address, source })?;
+        let udp = transport::Udp::open(place)
+            .with_context(|| format!("cannot open the ports of DDS domain {domain} on {address}"))?;
         let configuration = DustDdsConfigurationBuilder::new()
             .participant_announcement_interval(std::time::Duration::from_secs(1))
             // With type information, neither Cyclone 0.10 nor 11 match.
@@ -233,8 +190,8 @@ impl Node {
         topic: &str,
         type_name: &str,
         delivery: Delivery,
-    ) -> Result<Publisher<T>, NodeError> {
-        let qos = DataWriterQos { reliability: delivery.qos(), ..Default::default() };
+    ) -> Result<Publisher<T>> {
+        let qos = DataWriterQos { reliability: reliability(delivery), ..Default::default() };
         let publish = || {
             let topic = self.topic::<T>(topic, type_name)?;
             let publisher = self.participant.create_publisher(QosKind::Default, NO_LISTENER, NO_STATUS)?;
@@ -244,34 +201,29 @@ impl Node {
     }
 
     /// Calls `take` with every message of a topic, in a thread of DDS, until the subscription is dropped.
-    ///
-    /// # Errors
-    /// The topic exists with another type.
-    pub fn listen<T: TypeSupport + Send + Sync + 'static>(
+    pub(crate) fn listen<T: TypeSupport + Send + Sync + 'static>(
         &self,
         topic: &str,
         type_name: &str,
         delivery: Delivery,
         take: impl FnMut(Arrival<T>) + Send + 'static,
-    ) -> Result<Subscription<T>, NodeError> {
+    ) -> Result<Subscription<T>> {
         let qos = DataReaderQos {
             history: HistoryQosPolicy { kind: HistoryQosPolicyKind::KeepLast(DEPTH) },
-            reliability: delivery.qos(),
+            reliability: reliability(delivery),
             ..Default::default()
         };
         let listen = || {
             let topic = self.topic::<T>(topic, type_name)?;
             let subscriber = self.participant.create_subscriber(QosKind::Default, NO_LISTENER, NO_STATUS)?;
-            let listener = Listener { take };
+            let listener = Listener(take);
             subscriber.create_datareader(&topic, QosKind::Specific(qos), Some(listener), &[StatusKind::DataAvailable])
         };
-        Ok(Subscription { _reader: listen().map_err(dds("listening"))? })
+        listen().map_err(dds("listening"))
     }
 }
 
-struct Listener<F> {
-    take: F,
-}
+struct Listener<F>(F);
 
 impl<T: TypeSupport + Send + Sync + 'static, F: FnMut(Arrival<T>) + Send + 'static> DataReaderListener<T>
     for Listener<F>
@@ -280,10 +232,8 @@ impl<T: TypeSupport + Send + Sync + 'static, F: FnMut(Arrival<T>) + Send + 'stat
         let at = Instant::now();
         let samples = reader.take(DEPTH as i32, ANY_SAMPLE_STATE, ANY_VIEW_STATE, ANY_INSTANCE_STATE).await;
         for sample in samples.into_iter().flatten() {
-            let writer = WriterId(sample.sample_info.publication_handle.into());
-            if let Some(message) = sample.data {
-                (self.take)(Arrival { message, at, writer });
-            }
+            let writer = sample.sample_info.publication_handle.into();
+            sample.data.into_iter().for_each(|message| self.0(Arrival { message, at, writer }));
         }
     }
 }

@@ -6,91 +6,38 @@ use std::sync::mpsc::{Receiver, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
+use anyhow::{Result, anyhow, bail, ensure};
 use dust_dds::infrastructure::type_support::DdsType;
 use serde::Deserialize;
 
-use super::{Delivery, Node, NodeError, Publisher, Subscription};
+use super::{Arrival, Delivery, Node, Publisher, Subscription};
 
-/// Name and number of a request.
-#[derive(DdsType, Debug, Clone, PartialEq)]
-#[dust_dds(name = "unitree_api::msg::dds_::RequestIdentity_")]
-pub struct Identity {
-    /// Number of the request, which the response repeats.
-    pub id: i64,
-    /// Number of the function.
-    pub api_id: i64,
+/// Defines messages of the service by their DDS names.
+macro_rules! messages {
+    ($($(#[$about:meta])* $name:ident = $dds:literal { $($field:ident: $t:ty),* })*) => {$(
+        $(#[$about])*
+        #[derive(DdsType, Debug, Clone, PartialEq)]
+        #[dust_dds(name = $dds)]
+        pub struct $name { $(pub $field: $t),* }
+    )*};
 }
-
-/// The lease of a client.
-#[derive(DdsType, Debug, Clone, PartialEq)]
-#[dust_dds(name = "unitree_api::msg::dds_::RequestLease_")]
-pub struct Lease {
-    /// Number of the lease; 0 for none.
-    pub id: i64,
-}
-
-/// Handling of a request.
-#[derive(DdsType, Debug, Clone, PartialEq)]
-#[dust_dds(name = "unitree_api::msg::dds_::RequestPolicy_")]
-pub struct RequestPolicy {
-    /// Priority.
-    pub priority: i32,
-    /// True if no response is wanted.
-    pub noreply: bool,
-}
-
-/// Header of a request.
-#[derive(DdsType, Debug, Clone, PartialEq)]
-#[dust_dds(name = "unitree_api::msg::dds_::RequestHeader_")]
-pub struct RequestHeader {
-    /// Name and number.
-    pub identity: Identity,
-    /// Lease of the client.
-    pub lease: Lease,
-    /// Handling.
-    pub policy: RequestPolicy,
-}
-
-/// A request.
-#[derive(DdsType, Debug, Clone, PartialEq)]
-#[dust_dds(name = "unitree_api::msg::dds_::Request_")]
-pub struct Request {
-    /// Header.
-    pub header: RequestHeader,
-    /// Parameters as JSON.
-    pub parameter: String,
-    /// Binary parameters.
-    pub binary: Vec<u8>,
-}
-
-/// Result of a request.
-#[derive(DdsType, Debug, Clone, PartialEq)]
-#[dust_dds(name = "unitree_api::msg::dds_::ResponseStatus_")]
-pub struct Status {
-    /// 0 if it succeeded.
-    pub code: i32,
-}
-
-/// Header of a response.
-#[derive(DdsType, Debug, Clone, PartialEq)]
-#[dust_dds(name = "unitree_api::msg::dds_::ResponseHeader_")]
-pub struct ResponseHeader {
-    /// That of the request.
-    pub identity: Identity,
-    /// Result.
-    pub status: Status,
-}
-
-/// A response.
-#[derive(DdsType, Debug, Clone, PartialEq)]
-#[dust_dds(name = "unitree_api::msg::dds_::Response_")]
-pub struct Response {
-    /// Header.
-    pub header: ResponseHeader,
-    /// Result as JSON.
-    pub data: String,
-    /// Binary result.
-    pub binary: Vec<u8>,
+messages! {
+    /// Number of the request, which the response repeats, and number of the function.
+    Identity = "unitree_api::msg::dds_::RequestIdentity_" { id: i64, api_id: i64 }
+    /// The lease of a client; 0 for none.
+    Lease = "unitree_api::msg::dds_::RequestLease_" { id: i64 }
+    /// Handling of a request; `noreply` if no response is wanted.
+    RequestPolicy = "unitree_api::msg::dds_::RequestPolicy_" { priority: i32, noreply: bool }
+    RequestHeader = "unitree_api::msg::dds_::RequestHeader_" {
+        identity: Identity, lease: Lease, policy: RequestPolicy
+    }
+    /// A request, with parameters as JSON.
+    Request = "unitree_api::msg::dds_::Request_" { header: RequestHeader, parameter: String, binary: Vec<u8> }
+    /// Result of a request: 0 if it succeeded.
+    Status = "unitree_api::msg::dds_::ResponseStatus_" { code: i32 }
+    ResponseHeader = "unitree_api::msg::dds_::ResponseHeader_" { identity: Identity, status: Status }
+    /// A response, with its result as JSON.
+    Response = "unitree_api::msg::dds_::Response_" { header: ResponseHeader, data: String, binary: Vec<u8> }
 }
 
 /// Names of the services that the robot answers: the switcher, and its own controller, which clients ask to lie down first.
@@ -111,18 +58,9 @@ const RELEASE_MODE: i64 = 1003;
 const NOT_IMPLEMENTED: i32 = 3203;
 const BAD_PARAMETER: i32 = 7001;
 
-/// Name of the mode in which a robot starts.
-const NORMAL: &str = "normal";
-
 /// The robot's mode: the name of its own controller, or empty where it has been released.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Mode(String);
-
-impl Default for Mode {
-    fn default() -> Self {
-        Mode(NORMAL.to_owned())
-    }
-}
 
 /// The parameter of SelectMode, and the result of CheckMode.
 #[derive(Deserialize)]
@@ -131,9 +69,18 @@ struct Name {
 }
 
 impl Mode {
-    /// Returns true if the robot's own controller has been released.
+    /// Returns the mode in which a robot starts.
+    fn normal() -> Self {
+        Mode("normal".to_owned())
+    }
+
     pub fn is_released(&self) -> bool {
         self.0.is_empty()
+    }
+
+    fn set(&mut self, name: String) -> (i32, String) {
+        self.0 = name;
+        (0, String::new())
     }
 
     /// Answers a request: code and data.
@@ -141,16 +88,10 @@ impl Mode {
         match function {
             CHECK_MODE => (0, serde_json::json!({"form": "0", "name": self.0}).to_string()),
             SELECT_MODE => match serde_json::from_str(parameter) {
-                Ok(Name { name }) => {
-                    self.0 = name;
-                    (0, String::new())
-                }
+                Ok(Name { name }) => self.set(name),
                 Err(_) => (BAD_PARAMETER, String::new()),
             },
-            RELEASE_MODE => {
-                self.0.clear();
-                (0, String::new())
-            }
+            RELEASE_MODE => self.set(String::new()),
             _ => (NOT_IMPLEMENTED, String::new()),
         }
     }
@@ -158,11 +99,8 @@ impl Mode {
 
 /// Answers requests until it is dropped; calls `changed` with the mode after each request to the switcher. The robot's own
 /// controller says yes to everything until it is released, and is silent then.
-///
-/// # Errors
-/// The topics cannot be opened.
-pub fn serve(node: &Node, mut changed: impl FnMut(&Mode) + Send + 'static) -> Result<impl Sized, NodeError> {
-    let mode = Arc::new(Mutex::new(Mode::default()));
+pub fn serve(node: &Node, mut changed: impl FnMut(&Mode) + Send + 'static) -> Result<impl Sized> {
+    let mode = Arc::new(Mutex::new(Mode::normal()));
     let asked = Arc::clone(&mode);
     let switcher = answer(node, SWITCHER, move |function, parameter| {
         let mut mode = asked.lock().unwrap_or_else(PoisonError::into_inner);
@@ -182,58 +120,23 @@ fn answer(
     node: &Node,
     service: &str,
     mut answer: impl FnMut(i64, &str) -> Option<(i32, String)> + Send + 'static,
-) -> Result<Subscription<Request>, NodeError> {
+) -> Result<Subscription<Request>> {
     let [requests, responses] = topics(service);
     let responses: Publisher<Response> = node.publish(&responses, RESPONSE, Delivery::Reliable)?;
     let (sender, arrived) = channel::<Request>();
     // Answered in a thread of its own: a listener must not wait for a writer of the same participant.
     std::thread::spawn(move || {
         for Request { header, parameter, .. } in arrived {
-            let Some((code, data)) = answer(header.identity.api_id, &parameter) else { continue };
-            if !header.policy.noreply {
-                let header = ResponseHeader { identity: header.identity, status: Status { code } };
-                // A client that is gone gets no answer.
-                let _ = responses.send(Response { header, data, binary: Vec::new() });
-            }
+            let answer = answer(header.identity.api_id, &parameter).filter(|_| !header.policy.noreply);
+            let Some((code, data)) = answer else { continue };
+            let header = ResponseHeader { identity: header.identity, status: Status { code } };
+            // A client that is gone gets no answer.
+            let _ = responses.send(Response { header, data, binary: Vec::new() });
         }
     });
-    node.listen::<Request>(&requests, REQUEST, Delivery::Reliable, move |arrival| {
+    node.listen(&requests, REQUEST, Delivery::Reliable, move |arrival: Arrival<Request>| {
         let _ = sender.send(arrival.message);
     })
-}
-
-/// The reason why the robot's mode could not be asked or released.
-#[derive(Debug, thiserror::Error)]
-pub enum SwitchError {
-    /// The robot does not answer.
-    #[error(
-        "motion_switcher does not answer within {} s: is the robot on, and its firmware 1.0.24 or newer? A simulator without this \
-         service needs --no-release", TIMEOUT.as_secs()
-    )]
-    Silent,
-    /// The robot refuses.
-    #[error("motion_switcher refuses function {function} with code {code}")]
-    Refused {
-        /// Number of the function.
-        function: i64,
-        /// Code of the response.
-        code: i32,
-    },
-    /// The answer is no JSON of a mode.
-    #[error("motion_switcher answers '{found}', expected JSON with a name")]
-    Answer {
-        /// The data of the response.
-        found: String,
-    },
-    /// The robot keeps its mode.
-    #[error("the robot stays in mode '{mode}' after {RELEASES} releases: switch its services off in the vendor's app")]
-    Kept {
-        /// Name of the mode.
-        mode: String,
-    },
-    /// DDS fails.
-    #[error(transparent)]
-    Node(#[from] NodeError),
 }
 
 /// Time that a response may take.
@@ -251,21 +154,15 @@ pub struct Client {
 }
 
 impl Client {
-    /// Opens the topics.
-    ///
-    /// # Errors
-    /// The topics cannot be opened.
-    pub fn new(node: &Node) -> Result<Self, NodeError> {
+    pub fn new(node: &Node) -> Result<Self> {
         let (sender, responses) = channel();
         let [requests, replies] = topics(SWITCHER);
-        let listening = node.listen::<Response>(&replies, RESPONSE, Delivery::Reliable, move |arrival| {
-            let _ = sender.send(arrival.message);
-        })?;
-        let requests = node.publish(&requests, REQUEST, Delivery::Reliable)?;
-        Ok(Client { requests, responses, _listening: listening, id: 0 })
+        let take = move |arrival: Arrival<Response>| drop(sender.send(arrival.message));
+        let _listening = node.listen(&replies, RESPONSE, Delivery::Reliable, take)?;
+        Ok(Client { requests: node.publish(&requests, REQUEST, Delivery::Reliable)?, responses, _listening, id: 0 })
     }
 
-    fn call(&mut self, function: i64) -> Result<String, SwitchError> {
+    fn call(&mut self, function: i64) -> Result<String> {
         let deadline = Instant::now() + TIMEOUT;
         // A request that is sent before the service has been discovered is lost: it is sent again.
         while Instant::now() < deadline {
@@ -278,35 +175,29 @@ impl Client {
             self.requests.send(Request { header, parameter: String::new(), binary: Vec::new() })?;
             let until = Instant::now() + Duration::from_millis(500);
             while let Ok(response) = self.responses.recv_timeout(until.saturating_duration_since(Instant::now())) {
-                if response.header.identity.api_id != function || response.header.identity.id > self.id {
-                    continue;
+                let ResponseHeader { identity, status: Status { code } } = response.header;
+                if identity.api_id == function && identity.id <= self.id {
+                    ensure!(code == 0, "motion_switcher refuses function {function} with code {code}");
+                    return Ok(response.data);
                 }
-                return match response.header.status.code {
-                    0 => Ok(response.data),
-                    code => Err(SwitchError::Refused { function, code }),
-                };
             }
         }
-        Err(SwitchError::Silent)
+        bail!(
+            "motion_switcher does not answer within {} s: is the robot on, and its firmware 1.0.24 or newer? A simulator without this \
+             service needs --no-release",
+            TIMEOUT.as_secs()
+        )
     }
 
     /// Returns the name of the robot's mode; empty if it has been released.
-    ///
-    /// # Errors
-    /// The robot does not answer, or refuses.
-    pub fn mode(&mut self) -> Result<String, SwitchError> {
+    fn mode(&mut self) -> Result<String> {
         let data = self.call(CHECK_MODE)?;
-        match serde_json::from_str(&data) {
-            Ok(Name { name }) => Ok(name),
-            Err(_) => Err(SwitchError::Answer { found: data }),
-        }
+        let name = serde_json::from_str(&data).map(|Name { name }| name);
+        name.map_err(|_| anyhow!("motion_switcher answers '{data}', expected JSON with a name"))
     }
 
     /// Releases the robot's own controller, and returns the mode in which the robot was. Nothing is released once `stop` is true.
-    ///
-    /// # Errors
-    /// The robot does not answer, refuses, or keeps its mode.
-    pub fn release(&mut self, stop: &AtomicBool) -> Result<String, SwitchError> {
+    pub fn release(&mut self, stop: &AtomicBool) -> Result<String> {
         let first = self.mode()?;
         let mut mode = first.clone();
         for _ in 0..RELEASES {
@@ -315,11 +206,13 @@ impl Client {
             }
             self.call(RELEASE_MODE)?;
             mode = self.mode()?;
-            if !mode.is_empty() {
-                std::thread::sleep(Duration::from_secs(1));
-            }
+            std::thread::sleep(Duration::from_secs(u64::from(!mode.is_empty())));
         }
-        if mode.is_empty() { Ok(first) } else { Err(SwitchError::Kept { mode }) }
+        ensure!(
+            mode.is_empty(),
+            "the robot stays in mode '{mode}' after {RELEASES} releases: switch its services off in the vendor's app"
+        );
+        Ok(first)
     }
 }
 
@@ -329,7 +222,7 @@ mod tests {
 
     #[test]
     fn mode_is_checked_selected_and_released() {
-        let mut mode = Mode::default();
+        let mut mode = Mode::normal();
         assert_eq!(mode.answer(CHECK_MODE, ""), (0, r#"{"form":"0","name":"normal"}"#.to_owned()));
         assert_eq!(mode.answer(RELEASE_MODE, ""), (0, String::new()));
         assert!(mode.is_released());

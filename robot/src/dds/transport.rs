@@ -46,7 +46,6 @@ struct Sockets {
 }
 
 impl Udp {
-    /// Opens the sockets.
     pub fn open(place: &Place) -> io::Result<Self> {
         let base = 7400 + 250 * place.domain;
         let bind = |port| UdpSocket::bind(SocketAddrV4::new(place.address, port));
@@ -109,17 +108,12 @@ impl TransportParticipantFactory for Udp {
         }
         listen("dds meta", meta, receiver.clone());
         listen("dds user", user, receiver);
-        let peers = self
-            .peers
-            .iter()
-            .flat_map(|peer| (0..PARTICIPANTS).map(|index| SocketAddrV4::new(*peer, self.base + 10 + 2 * index)));
         let own = SocketAddrV4::new(self.address, meta_port);
+        let ports = (0..PARTICIPANTS).map(|index| self.base + 10 + 2 * index);
+        let peers = self.peers.iter().flat_map(|peer| ports.clone().map(|port| SocketAddrV4::new(*peer, port)));
+        let peers = peers.filter(|peer| *peer != own).collect();
         RtpsTransportParticipant {
-            message_writer: Box::new(Writer {
-                socket: out,
-                peers: peers.filter(|peer| *peer != own).collect(),
-                buffer: vec![0; 65507],
-            }),
+            message_writer: Box::new(Writer { socket: out, peers, buffer: vec![0; 65507] }),
             default_unicast_locator_list: vec![locator(self.address, user_port)],
             metatraffic_unicast_locator_list: vec![locator(self.address, meta_port)],
             metatraffic_multicast_locator_list: vec![locator(GROUP, self.base)],
@@ -146,11 +140,9 @@ impl WriteMessage for Writer {
         for to in locators {
             let [.., a, b, c, d] = to.address();
             let address = SocketAddrV4::new(Ipv4Addr::new(a, b, c, d), to.port() as u16);
-            let _ = self.socket.send_to(datagram, address);
-            if address.ip().is_multicast() {
-                for peer in &self.peers {
-                    let _ = self.socket.send_to(datagram, peer);
-                }
+            let peers = self.peers.iter().filter(|_| address.ip().is_multicast());
+            for to in std::iter::once(&address).chain(peers) {
+                let _ = self.socket.send_to(datagram, to);
             }
         }
     }
@@ -219,20 +211,15 @@ mod tests {
 
     /// A little-endian message that announces a writer: one parameter of each given kind, 4 bytes long, and the sentinel.
     fn announcement(parameters: &[u16]) -> Vec<u8> {
-        let mut payload = vec![0, 3, 0, 0];
-        for parameter in parameters {
-            payload.extend(parameter.to_le_bytes());
-            payload.extend([4, 0, 9, 9, 9, 9]);
-        }
-        payload.extend([1, 0, 0, 0]);
-        // Extra flags, octets to inline QoS, reader, writer, sequence number.
+        // Extra flags, octets to inline QoS, reader, writer, sequence number; then the payload.
         let mut body = vec![0, 0, 16, 0, 0, 0, 3, 0xC7, 0, 0, 3, 0xC2, 0, 0, 0, 0, 1, 0, 0, 0];
-        body.extend(payload);
-        let mut message = vec![0; 20];
-        message.extend([DATA, 0b101]);
-        message.extend((body.len() as u16).to_le_bytes());
-        message.extend(body);
-        message
+        body.extend([0, 3, 0, 0]);
+        for parameter in parameters {
+            body.extend(parameter.to_le_bytes());
+            body.extend([4, 0, 9, 9, 9, 9]);
+        }
+        body.extend([1, 0, 0, 0]);
+        [&[0; 20][..], &[DATA, 0b101], &(body.len() as u16).to_le_bytes(), &body].concat()
     }
 
     #[test]

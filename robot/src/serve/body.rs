@@ -67,7 +67,11 @@ impl Controller for Motors {
 }
 
 /// Returns the configuration in which the simulation's joint target is a torque, at this physics rate \[Hz\].
-pub fn configuration(mut config: Config, physics_hz: u32) -> Config {
+pub fn configuration(mut config: Config, physics_hz: u32) -> anyhow::Result<Config> {
+    anyhow::ensure!(
+        physics_hz.is_multiple_of(STATE_HZ) && (500..=4000).contains(&physics_hz),
+        "physics rate {physics_hz} Hz: expected a multiple of {STATE_HZ} Hz, from 500 to 4000"
+    );
     config.simulation = Simulation {
         physics_rate_hz: physics_hz,
         policy_rate_hz: physics_hz,
@@ -75,25 +79,21 @@ pub fn configuration(mut config: Config, physics_hz: u32) -> Config {
         kd_n_m_s_per_rad: 0.0.into(),
         latency_s: 0.0,
     };
-    config
+    Ok(config)
 }
 
 /// The events of a tick of [`STATE_HZ`].
 #[derive(Debug, Default)]
 pub struct Tick {
-    /// The frame that was completed, if any.
-    pub frame: Option<Frame>,
-    /// Events of the script.
+    pub frame: Option<Frame>, // the frame that was completed, if any
     pub events: Vec<Event>,
-    /// True if the script is over.
     pub is_over: bool,
-    /// Motors at their torque limit: joint, commanded torque, limit [N·m].
-    pub saturated: Option<(usize, f64, f64)>,
+    pub saturated: Option<(usize, f64, f64)>, // motors at their torque limit: joint, commanded torque, limit [N·m]
 }
 
 /// The simulated robot.
 pub struct Body {
-    playback: Playback<'static>,
+    pub playback: Playback<'static>,
     commands: Arc<Mutex<[MotorCmd; JOINTS]>>,
     robot: Arc<Robot>,
     exact: ExactSensors,
@@ -114,9 +114,6 @@ pub struct Body {
 impl Body {
     /// Builds the scene of a script; the robot starts standing, and sinks unless it is commanded. `config` is that of
     /// [`configuration`]; without `noise` the sensors are exact.
-    ///
-    /// # Errors
-    /// The scene does not compile, or MuJoCo fails in the starting state.
     pub fn new(script: Script, config: Config, noise: Option<SensorNoise>, seed: u64) -> mujoco::Result<Self> {
         let robot = Arc::clone(&script.scene.robot);
         let conditions = script.conditions;
@@ -166,12 +163,10 @@ impl Body {
         self.last_rates = self.encoders.rates;
         let mut force = Vector3::zeros();
         for _ in 0..self.substeps {
-            let Some(played) = self.playback.next() else {
-                tick.is_over = true;
-                break;
-            };
-            tick.events.extend(played.events);
-            let Some(frame) = played.frame else {
+            let played = self.playback.next();
+            let (events, frame) = played.map_or((Vec::new(), None), |played| (played.events, played.frame));
+            tick.events.extend(events);
+            let Some(frame) = frame else {
                 tick.is_over = true;
                 break;
             };
@@ -192,13 +187,12 @@ impl Body {
     fn sense(&mut self) {
         let data = self.playback.sim().data();
         let (imu, encoders) = self.exact.read(data, self.playback.sim().parts());
-        (self.imu, self.encoders) = match &mut self.sensors {
-            Some(sensors) => {
-                let dt_s = data.model().timestep_s();
-                (sensors.imu(&imu, dt_s, &mut self.rng), sensors.encoders(&encoders, dt_s, &mut self.rng))
-            }
-            None => (imu, encoders),
-        };
+        (self.imu, self.encoders) = (imu, encoders);
+        if let Some(sensors) = &mut self.sensors {
+            let dt_s = data.model().timestep_s();
+            self.imu = sensors.imu(&imu, dt_s, &mut self.rng);
+            self.encoders = sensors.encoders(&encoders, dt_s, &mut self.rng);
+        }
     }
 
     /// Returns the mean frame once enough have come, with the client's joint targets.
@@ -299,11 +293,6 @@ impl Body {
         let height_m = self.playback.sim().state().height;
         Sight { now_s, height_m, tilt_rad: up.z.clamp(-1.0, 1.0).acos(), is_commanded }
     }
-
-    /// Returns the simulation.
-    pub fn playback(&mut self) -> &mut Playback<'static> {
-        &mut self.playback
-    }
 }
 
 /// The mean of the last frames.
@@ -353,19 +342,17 @@ mod tests {
     use super::*;
     use crate::message::crc;
 
-    fn body(noise: Option<SensorNoise>) -> Body {
-        let config = configuration(Config::load("go2").unwrap(), 1000);
+    fn body() -> Body {
+        let config = configuration(Config::load("go2").unwrap(), 1000).unwrap();
         let mut script = Scenario::named("walk", "{duration_s: 3600.0}").unwrap().script(0, &config).unwrap();
         script.after_fall_s = 3600.0;
-        Body::new(script, config, noise, 0).unwrap()
+        Body::new(script, config, None, 0).unwrap()
     }
 
     #[test]
     fn robot_without_commands_sinks_and_stays_at_rest() {
-        let mut body = body(None);
-        for _ in 0..3 * STATE_HZ {
-            assert!(!body.tick().is_over);
-        }
+        let mut body = body();
+        assert!((0..3 * STATE_HZ).all(|_| !body.tick().is_over));
         let (sight, state) = (body.sight(0.0, false), body.state(Remote::default()));
         assert!(sight.height_m < 0.2 && sight.tilt_rad < 0.3, "{sight:?}");
         assert!(state.motor_state.iter().all(|motor| motor.dq.abs() < 0.2));
@@ -373,7 +360,7 @@ mod tests {
 
     #[test]
     fn held_robot_reports_what_it_is() {
-        let mut body = body(None);
+        let mut body = body();
         let pose = body.robot.nominal_pose;
         body.command(&motor::holding(&pose, &[60.0; JOINTS], &[5.0; JOINTS]));
         (0..2 * STATE_HZ).for_each(|_| drop(body.tick()));
@@ -381,11 +368,8 @@ mod tests {
         assert_eq!(crc(&state), state.crc);
         assert_eq!(state.tick, 2000);
         for (joint, angle) in pose.iter().enumerate() {
-            assert!(
-                (f64::from(state.motor_state[joint].q) - angle).abs() < 0.15,
-                "{joint}: {:?}",
-                state.motor_state[joint]
-            );
+            let motor = &state.motor_state[joint];
+            assert!((f64::from(motor.q) - angle).abs() < 0.15, "{joint}: {motor:?}");
         }
         // A knee holds 7 N m with a gain of 60 N m/rad. At rest the accelerometer reads gravity, the feet carry the weight, and the quaternion is upright.
         let [x, y, z] = state.imu_state.accelerometer;
@@ -399,18 +383,15 @@ mod tests {
 
     #[test]
     fn commanded_torque_is_what_the_motor_gives() {
-        let mut body = body(None);
+        let mut body = body();
         let mut motors = motor::damping();
         motors[4].kd = 0.0;
-        motors[4].tau = -3.5;
-        body.command(&motors);
-        body.tick();
-        assert!((body.state(Remote::default()).motor_state[4].tau_est + 3.5).abs() < 1e-6);
-        motors[4].tau = -300.0;
-        body.command(&motors);
-        let tick = body.tick();
-        assert_eq!(tick.saturated.map(|(joint, ..)| joint), Some(4));
-        assert!((body.state(Remote::default()).motor_state[4].tau_est + 23.7).abs() < 1e-4);
+        for (commanded, given, close, saturated) in [(-3.5, -3.5, 1e-6, None), (-300.0, -23.7, 1e-4, Some(4))] {
+            motors[4].tau = commanded;
+            body.command(&motors);
+            assert_eq!(body.tick().saturated.map(|(joint, ..)| joint), saturated);
+            assert!((body.state(Remote::default()).motor_state[4].tau_est - given).abs() < close);
+        }
     }
 
     #[test]

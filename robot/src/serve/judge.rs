@@ -18,33 +18,21 @@ const LATE_S: f64 = 0.0125;
 /// The largest gains that make sense: a Go2 shakes long before [N·m/rad], [N·m·s/rad].
 const MAX_GAINS: [f32; 2] = [500.0, 50.0];
 
-/// Kinds of faults of a client.
+/// Kinds of faults of a client; commands with one up to `NotReleased` are refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
-    /// The checksum does not fit: refused.
     Checksum,
-    /// The head is not FE EF: refused.
     Head,
-    /// The level flag is not FF: refused.
     LevelFlag,
-    /// The mode of a motor is neither servo nor off: refused.
     Mode,
-    /// A number is not finite: refused.
     NotFinite,
-    /// A gain is negative or huge: refused.
     Gain,
-    /// The robot's own controller has not been released: refused.
     NotReleased,
-    /// Two writers command the motors.
     TwoWriters,
-    /// A command came late.
     Late,
-    /// No valid commands came for [`SILENCE_S`]: the motors damp.
     Silence,
-    /// A joint target is beyond the joint's range.
     JointRange,
-    /// A motor is at its torque limit.
     TorqueLimit,
 }
 
@@ -55,28 +43,29 @@ impl Kind {
     }
 }
 
-/// A fault of the client.
+/// A fault of the client: its kind, and what was found and what was expected.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Complaint {
-    /// The kind of the complaint.
     pub kind: Kind,
-    /// The value that was found and the one that was expected.
     pub text: String,
 }
 
 /// Decides which commands are obeyed.
-#[derive(Debug)]
 pub struct Judge {
     joint_limits: [[f64; 2]; JOINTS],
     any_head: bool,
-    motors: [MotorCmd; JOINTS],
+    /// The commands that the motors obey now.
+    pub motors: [MotorCmd; JOINTS],
     /// Writers and the time of their last command \[s\].
     writers: Vec<(WriterId, f64)>,
     /// Time of the last command that was obeyed \[s\].
     last_s: Option<f64>,
-    is_silent: bool,
-    accepted: u64,
-    counts: BTreeMap<Kind, u64>,
+    /// True if no valid commands come.
+    pub is_silent: bool,
+    /// Number of commands that were obeyed.
+    pub accepted: u64,
+    /// Number of complaints of each kind.
+    pub counts: BTreeMap<Kind, u64>,
 }
 
 impl Judge {
@@ -101,26 +90,21 @@ impl Judge {
         if !self.writers.is_empty() {
             let count = self.writers.len() + 1;
             let text = format!("{count} writers send rt/lowcmd: their commands alternate; stop all but one");
-            complaints.push(Complaint { kind: Kind::TwoWriters, text });
+            complaints.push(self.complain(Kind::TwoWriters, text));
         }
         self.writers.push((writer, now_s));
         match refusal(command, released, self.any_head) {
-            Some(complaint) => complaints.push(complaint),
+            Some((kind, text)) => complaints.push(self.complain(kind, text)),
             None => self.obey(command, now_s, &mut complaints),
-        }
-        for complaint in &complaints {
-            *self.counts.entry(complaint.kind).or_default() += 1;
         }
         complaints
     }
 
     fn obey(&mut self, command: &LowCmd, now_s: f64, complaints: &mut Vec<Complaint>) {
-        if let (Some(last_s), false) = (self.last_s, self.is_silent) {
-            let gap_s = now_s - last_s;
-            if gap_s > LATE_S {
-                let text = format!("{:.0} ms between two commands, expected 2 ms, at most 10 ms", 1e3 * gap_s);
-                complaints.push(Complaint { kind: Kind::Late, text });
-            }
+        if let Some(last_s) = self.last_s.filter(|last_s| !self.is_silent && now_s - last_s > LATE_S) {
+            let gap_ms = 1e3 * (now_s - last_s);
+            let text = format!("{gap_ms:.0} ms between two commands, expected 2 ms, at most 10 ms");
+            complaints.push(self.complain(Kind::Late, text));
         }
         for (joint, motor) in command.motor_cmd.iter().take(JOINTS).enumerate() {
             let [low, high] = self.joint_limits[joint];
@@ -131,7 +115,7 @@ impl Judge {
                     "joint target of {name} is {target:.3} rad, its range is {low:.3} to {high:.3} rad: degrees, another \
                      order of joints, or another sign?"
                 );
-                complaints.push(Complaint { kind: Kind::JointRange, text });
+                complaints.push(self.complain(Kind::JointRange, text));
             }
             self.motors[joint] = motor.clone();
         }
@@ -145,92 +129,68 @@ impl Judge {
         let last_s = self.last_s.filter(|last_s| !self.is_silent && now_s - last_s > SILENCE_S)?;
         self.is_silent = true;
         self.motors = motor::damping();
-        *self.counts.entry(Kind::Silence).or_default() += 1;
         let text = format!("no valid command for {:.0} ms: the motors damp", 1e3 * (now_s - last_s));
-        Some(Complaint { kind: Kind::Silence, text })
+        Some(self.complain(Kind::Silence, text))
     }
 
     /// Counts a motor at its limit; `torque` is what was commanded [N·m].
     pub fn saturated(&mut self, joint: usize, torque: f64, limit: f64) -> Complaint {
-        *self.counts.entry(Kind::TorqueLimit).or_default() += 1;
         let text = format!("{} is commanded {torque:+.1} N m, its limit is {limit:.1} N m", joint_name(joint));
-        Complaint { kind: Kind::TorqueLimit, text }
+        self.complain(Kind::TorqueLimit, text)
     }
 
-    /// Returns the commands that the motors obey now.
-    pub fn motors(&self) -> &[MotorCmd; JOINTS] {
-        &self.motors
-    }
-
-    /// Returns true if no valid commands come.
-    pub fn is_silent(&self) -> bool {
-        self.is_silent
-    }
-
-    /// Returns the number of commands that were obeyed.
-    pub fn accepted(&self) -> u64 {
-        self.accepted
-    }
-
-    /// Returns the number of complaints of each kind.
-    pub fn counts(&self) -> &BTreeMap<Kind, u64> {
-        &self.counts
+    fn complain(&mut self, kind: Kind, text: String) -> Complaint {
+        *self.counts.entry(kind).or_default() += 1;
+        Complaint { kind, text }
     }
 }
 
 /// Returns the reason not to obey a command.
-fn refusal(command: &LowCmd, released: bool, any_head: bool) -> Option<Complaint> {
-    let complain = |kind, text| Some(Complaint { kind, text });
+fn refusal(command: &LowCmd, released: bool, any_head: bool) -> Option<(Kind, String)> {
     let expected = crc(command);
     if command.crc != expected {
-        return complain(Kind::Checksum, format!("checksum is {:08x}, expected {expected:08x}", command.crc));
+        return Some((Kind::Checksum, format!("checksum is {:08x}, expected {expected:08x}", command.crc)));
     }
     if command.head != HEAD && !any_head {
         let [first, second] = command.head;
-        return complain(Kind::Head, format!("head is {first:02X} {second:02X}, expected FE EF"));
+        return Some((Kind::Head, format!("head is {first:02X} {second:02X}, expected FE EF")));
     }
     if command.level_flag != LOW_LEVEL && !any_head {
         let found = command.level_flag;
-        return complain(Kind::LevelFlag, format!("level flag is {found:02X}, expected FF (low level)"));
+        return Some((Kind::LevelFlag, format!("level flag is {found:02X}, expected FF (low level)")));
     }
     for (joint, motor) in command.motor_cmd.iter().take(JOINTS).enumerate() {
         let name = joint_name(joint);
-        if motor.mode > SERVO {
-            let found = motor.mode;
+        let found = motor.mode;
+        if found > SERVO {
             let hint = if found == 0x0A { "; 10 is the Go1's" } else { "" };
-            return complain(Kind::Mode, format!("mode of {name} is {found}, expected 1 (servo) or 0 (off){hint}"));
+            return Some((Kind::Mode, format!("mode of {name} is {found}, expected 1 (servo) or 0 (off){hint}")));
         }
         let numbers = [("q", motor.q), ("dq", motor.dq), ("tau", motor.tau), ("kp", motor.kp), ("kd", motor.kd)];
         if let Some((what, found)) = numbers.into_iter().find(|(_, value)| !value.is_finite()) {
-            return complain(Kind::NotFinite, format!("{what} of {name} is {found}, expected a finite number"));
+            return Some((Kind::NotFinite, format!("{what} of {name} is {found}, expected a finite number")));
         }
         for ((what, found), most) in [("kp", motor.kp), ("kd", motor.kd)].into_iter().zip(MAX_GAINS) {
             if !(0.0..=most).contains(&found) {
-                return complain(Kind::Gain, format!("{what} of {name} is {found}, expected 0 to {most}"));
+                return Some((Kind::Gain, format!("{what} of {name} is {found}, expected 0 to {most}")));
             }
         }
     }
     if !released {
         let text = "the robot's own controller is active: release it first (motion_switcher, ReleaseMode)";
-        return complain(Kind::NotReleased, text.to_owned());
+        return Some((Kind::NotReleased, text.to_owned()));
     }
     None
 }
 
 #[cfg(test)]
 mod tests {
+    use supple::robot::same_in_every_leg;
+
     use super::*;
 
     fn command() -> LowCmd {
-        LowCmd::of_motors(&motor::holding(
-            &[0.0, 0.8, -1.5, 0.0, 0.8, -1.5, 0.0, 0.8, -1.5, 0.0, 0.8, -1.5],
-            &[50.0; 12],
-            &[3.0; 12],
-        ))
-    }
-
-    fn writer(number: u8) -> WriterId {
-        WriterId::of_bytes([number; 16])
+        LowCmd::of_motors(&motor::holding(&same_in_every_leg([0.0, 0.8, -1.5]), &[50.0; 12], &[3.0; 12]))
     }
 
     fn judge() -> Judge {
@@ -239,15 +199,6 @@ mod tests {
 
     fn kinds(complaints: &[Complaint]) -> Vec<Kind> {
         complaints.iter().map(|complaint| complaint.kind).collect()
-    }
-
-    #[test]
-    fn valid_command_is_obeyed_without_complaint() {
-        let mut judge = judge();
-        assert!(judge.is_silent());
-        assert_eq!(judge.take(&command(), writer(1), 1.0, true), []);
-        assert_eq!(judge.motors()[1].q, 0.8);
-        assert!(!judge.is_silent() && judge.accepted() == 1);
     }
 
     /// A kind of fault, and how to make it.
@@ -267,51 +218,53 @@ mod tests {
         for (kind, break_it) in broken {
             let (mut judge, mut bad) = (judge(), command());
             break_it(&mut bad);
-            assert_eq!(kinds(&judge.take(&bad, writer(1), 0.0, true)), [Kind::Checksum]);
-            let complaints = judge.take(&bad.sealed(), writer(1), 0.0, true);
+            assert_eq!(kinds(&judge.take(&bad, [1; 16], 0.0, true)), [Kind::Checksum]);
+            let complaints = judge.take(&bad.sealed(), [1; 16], 0.0, true);
             assert_eq!(kinds(&complaints), [kind], "{complaints:?}");
-            assert!(kind.is_refused() && judge.accepted() == 0);
+            assert!(kind.is_refused() && judge.accepted == 0);
         }
-        assert_eq!(kinds(&judge().take(&command(), writer(1), 0.0, false)), [Kind::NotReleased]);
+        assert_eq!(kinds(&judge().take(&command(), [1; 16], 0.0, false)), [Kind::NotReleased]);
         let headless = LowCmd { head: [0; 2], level_flag: 0, ..command() }.sealed();
         let mut lenient = Judge::new(judge().joint_limits, true);
-        assert_eq!(lenient.take(&headless, writer(1), 0.0, true), []);
+        assert_eq!(lenient.take(&headless, [1; 16], 0.0, true), []);
     }
 
     #[test]
-    fn silence_leads_to_damping_until_commands_return() {
+    fn valid_commands_are_obeyed_and_silence_leads_to_damping_until_they_return() {
         let mut judge = judge();
-        judge.take(&command(), writer(1), 1.0, true);
+        assert!(judge.is_silent);
+        assert_eq!(judge.take(&command(), [1; 16], 1.0, true), []);
+        assert!(judge.motors[1].q == 0.8 && !judge.is_silent && judge.accepted == 1);
         assert_eq!(judge.wait(1.099), None);
         assert_eq!(judge.wait(1.101).map(|complaint| complaint.kind), Some(Kind::Silence));
-        assert_eq!((judge.motors(), judge.is_silent()), (&motor::damping(), true));
+        assert_eq!((&judge.motors, judge.is_silent), (&motor::damping(), true));
         assert_eq!(judge.wait(1.2), None);
-        judge.take(&command(), writer(1), 1.3, true);
-        assert_eq!(judge.motors()[2].q, -1.5);
+        judge.take(&command(), [1; 16], 1.3, true);
+        assert_eq!(judge.motors[2].q, -1.5);
     }
 
     #[test]
     fn invalid_commands_do_not_end_a_silence() {
         let (mut judge, mut bad) = (judge(), command());
         bad.motor_cmd[0].q = 0.1; // the checksum is the old one
-        judge.take(&command(), writer(1), 1.0, true);
-        (1..60).for_each(|step| drop(judge.take(&bad, writer(1), 1.0 + 0.002 * f64::from(step), true)));
+        judge.take(&command(), [1; 16], 1.0, true);
+        (1..60).for_each(|step| drop(judge.take(&bad, [1; 16], 1.0 + 0.002 * f64::from(step), true)));
         assert!(judge.wait(1.118).is_some());
     }
 
     #[test]
     fn two_writers_are_told_apart_and_a_new_one_is_not_two() {
         let mut judge = judge();
-        judge.take(&command(), writer(1), 1.000, true);
-        assert_eq!(kinds(&judge.take(&command(), writer(2), 1.002, true)), [Kind::TwoWriters]);
-        assert_eq!(kinds(&judge.take(&command(), writer(2), 1.110, true)), [Kind::Late]);
+        judge.take(&command(), [1; 16], 1.000, true);
+        assert_eq!(kinds(&judge.take(&command(), [2; 16], 1.002, true)), [Kind::TwoWriters]);
+        assert_eq!(kinds(&judge.take(&command(), [2; 16], 1.110, true)), [Kind::Late]);
     }
 
     #[test]
     fn targets_in_degrees_are_obeyed_with_a_complaint() {
         let (mut judge, mut degrees) = (judge(), command());
         degrees.motor_cmd[1].q = 45.8;
-        let complaints = judge.take(&degrees.sealed(), writer(1), 0.0, true);
+        let complaints = judge.take(&degrees.sealed(), [1; 16], 0.0, true);
         assert_eq!(kinds(&complaints), [Kind::JointRange]);
         assert!(complaints[0].text.contains("FR_thigh"), "{complaints:?}");
     }

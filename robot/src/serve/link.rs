@@ -16,7 +16,6 @@ pub struct Faults {
 }
 
 /// Messages on their way.
-#[derive(Debug)]
 pub struct Link<T> {
     faults: Faults,
     /// Time of arrival \[s\] and message, in order of arrival.
@@ -24,7 +23,6 @@ pub struct Link<T> {
 }
 
 impl<T> Link<T> {
-    /// Creates an empty connection.
     pub fn new(faults: Faults) -> Self {
         Link { faults, under_way: VecDeque::new() }
     }
@@ -43,8 +41,7 @@ impl<T> Link<T> {
 
     /// Takes the next message that has arrived by `now_s` \[s\].
     pub fn take(&mut self, now_s: f64) -> Option<T> {
-        let (at_s, _) = self.under_way.front()?;
-        if *at_s <= now_s { self.under_way.pop_front().map(|(_, message)| message) } else { None }
+        self.under_way.pop_front_if(|(at_s, _)| *at_s <= now_s).map(|(_, message)| message)
     }
 
     /// Returns the time at which the next message arrives \[s\].
@@ -66,12 +63,8 @@ mod tests {
         let mut link = Link::new(Faults { latency_s: 0.01, jitter_s: 0.02, loss: 0.0 });
         (0..100).for_each(|number| link.send(number, 0.0, &mut rng));
         assert_eq!(link.take(0.0099), None);
-        let mut arrived = Vec::new();
-        while let Some(number) = link.take(0.03) {
-            arrived.push(number);
-        }
-        assert_eq!(arrived.len(), 100);
-        assert!(!arrived.is_sorted());
+        let arrived: Vec<i32> = std::iter::from_fn(|| link.take(0.03)).collect();
+        assert!(arrived.len() == 100 && !arrived.is_sorted());
     }
 
     #[test]

@@ -1,14 +1,16 @@
 /*! The robot's side: a simulated Go2 that is as strict as a real one.
 
-Start with [`Served`], which plays; [`body`] is the simulation behind the interface, [`judge`] decides which commands it obeys,
-[`operator`] is the person with the remote, [`link`] makes the connection worse on demand, [`page`] lets people push and pull.
+Start with [`play()`]; `body` is the simulation behind the interface, `judge` decides which commands it obeys, `operator` is the person
+with the remote, `link` makes the connection worse on demand, `page` lets people push and pull.
 */
 
-pub mod body;
-pub mod judge;
-pub mod link;
-pub mod operator;
-pub mod page;
+pub(crate) mod body;
+pub(crate) mod judge;
+mod link;
+pub(crate) mod operator;
+mod page;
 mod play;
+mod settings;
 
-pub use play::{COMMANDS, STATES, ServeError, Served, Settings, Summary, play};
+pub use play::{COMMANDS, STATES, Summary, play, told};
+pub use settings::{Settings, scenario};

@@ -16,7 +16,6 @@ const HIGH: f64 = 0.8;
 const LEVEL_RAD: f64 = 0.3;
 
 /// Presses START for the robot to stand up, A for the policy to begin, then keeps the sticks at the scenario's command.
-#[derive(Debug)]
 pub struct Operator {
     sticks: Remote,
     /// Base height of the standing robot \[m\].
@@ -29,14 +28,10 @@ pub struct Operator {
 /// The state that the operator sees.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sight {
-    /// Time \[s\].
     pub now_s: f64,
-    /// Base height above the ground \[m\].
-    pub height_m: f64,
-    /// Angle between the trunk's up and the world's \[rad\].
-    pub tilt_rad: f64,
-    /// True if a client commands the motors.
-    pub is_commanded: bool,
+    pub height_m: f64,      // base height above the ground [m]
+    pub tilt_rad: f64,      // angle between the trunk's up and the world's [rad]
+    pub is_commanded: bool, // true if a client commands the motors
 }
 
 impl Operator {

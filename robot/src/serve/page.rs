@@ -4,6 +4,7 @@ use std::net::{IpAddr, Ipv4Addr};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
+use serde_json::json;
 use supple::robot::GRAVITY_M_S2;
 use supple::scenario::session::{Act, Input, RATE_HZ, RobotStep, SceneKind};
 use supple::scenario::trace::{Event, EventKind, Frame};
@@ -12,7 +13,7 @@ use supple::task::Command;
 use supple_drive::driver::Heard;
 use supple_drive::message::Message;
 use supple_drive::publisher::{Facts, Publisher, Shown};
-use supple_drive::request::{Hello, MOST_PULL_N, MOST_PUSH_M_S, MOST_PUSH_N_S, Request, bounded};
+use supple_drive::request::{MOST, Request, bounded};
 use supple_drive::server;
 use supple_drive::viewer_stream::Cast;
 
@@ -24,9 +25,10 @@ const QUEUE: usize = 512;
 /// The page, as the loop that plays the robot sees it.
 pub struct Page {
     messages: Receiver<Message>,
-    publisher: Publisher,
+    pub publisher: Publisher,
     robot: ServedRobot,
-    command: Command,
+    /// The velocity that the page's stick asks for.
+    pub command: Command,
     pull: Option<[f64; 2]>,
     /// Events since the last frame.
     events: Vec<Event>,
@@ -83,31 +85,15 @@ impl Page {
     pub fn new(scene: &Scene, seed: u64, range: Command) -> (Self, SyncSender<Message>) {
         let robot = ServedRobot { scene: scene.clone(), seed, range, frames: 0, falls: 0 };
         let (to_robot, messages) = sync_channel(QUEUE);
-        let page = Page {
-            messages,
-            publisher: Publisher::new(&robot),
-            robot,
-            command: Command::default(),
-            pull: None,
-            events: Vec::new(),
-        };
-        (page, to_robot)
+        let (publisher, command) = (Publisher::new(&robot), Command::default());
+        (Page { messages, publisher, robot, command, pull: None, events: Vec::new() }, to_robot)
     }
 
     /// Serves the page on this machine; port 0 takes any free one. Returns its address.
-    ///
-    /// # Errors
-    /// The port or a thread cannot be had.
     pub fn serve(&self, to_robot: SyncSender<Message>, port: u16) -> anyhow::Result<String> {
-        let most = [MOST_PUSH_M_S, MOST_PUSH_N_S, MOST_PULL_N];
-        let hello = Hello { policies: Vec::new(), scenes: Vec::new(), most, viewer: true, is_served: true };
+        let hello = json!({ "policies": [], "scenes": [], "most": MOST, "viewer": true, "is_served": true });
         let here = IpAddr::V4(Ipv4Addr::LOCALHOST);
-        Ok(server::start(here, port, to_robot, self.publisher.updates(), hello)?.url)
-    }
-
-    /// Returns the velocity that the page's stick asks for.
-    pub fn command(&self) -> Command {
-        self.command
+        Ok(server::start(here, port, to_robot, self.publisher.updates.clone(), hello)?.0)
     }
 
     /// Takes the messages that have come, and pushes and pulls the robot as they say. A page that falls silent lets go.
@@ -119,13 +105,13 @@ impl Page {
                     Act::Hand(force) => self.hold(force, body),
                     act @ Act::Push { size, unit } => {
                         let linear = unit.velocity(size, self.robot.scene.robot.mass_kg);
-                        body.playback().push(linear);
+                        body.playback.push(linear);
                         self.publisher.note_input(&self.robot, &Input::Act(act));
                     }
                     // Compliance is the client's, and a robot that is commanded from outside is not put elsewhere.
                     Act::Comply { .. } | Act::Reset => {}
                 },
-                Heard::Other(Message::Notice(text)) => self.notice(text),
+                Heard::Other(Message::Notice(text)) => self.publisher.notice(text),
                 Heard::Released => self.let_go(body),
                 Heard::Request(_) | Heard::Nothing | Heard::Other(_) => {}
             }
@@ -138,7 +124,7 @@ impl Page {
     fn hold(&mut self, force: Option<[f64; 2]>, body: &mut Body) {
         if force != self.pull {
             self.pull = force;
-            body.playback().pull(force);
+            body.playback.pull(force);
             self.publisher.note_input(&self.robot, &Input::Act(Act::Hand(force)));
         }
     }
@@ -146,11 +132,6 @@ impl Page {
     fn let_go(&mut self, body: &mut Body) {
         self.command = Command::default();
         self.hold(None, body);
-    }
-
-    /// Shows a text.
-    pub fn notice(&mut self, text: String) {
-        self.publisher.notice(text);
     }
 
     /// Shows what a tick has brought.
@@ -161,8 +142,7 @@ impl Page {
         self.robot.frames += 1;
         let time_s = self.robot.time_s();
         let events: Vec<Event> = self.events.drain(..).map(|event| Event { time_s, ..event }).collect();
-        let fell = events.iter().filter(|event| event.kind == EventKind::Fall).count();
-        self.robot.falls += u32::try_from(fell).unwrap_or(0);
+        self.robot.falls += events.iter().map(|event| u32::from(event.kind == EventKind::Fall)).sum::<u32>();
         let frame = Some(Arc::new(Frame { time_s, ..frame.clone() }));
         let step = RobotStep { robot: 0, is_beginning: false, frame, events };
         self.publisher.note_steps(&self.robot, tick, &[step]);
@@ -179,6 +159,7 @@ mod tests {
     use supple::scenario::session::PushUnit;
     use supple::scenario::trace::DisturbanceMark;
     use supple_drive::driver::SILENCE;
+    use supple_drive::request::MOST_PULL_N;
 
     use super::*;
     use crate::motor;
@@ -186,11 +167,11 @@ mod tests {
 
     #[test]
     fn page_pushes_pulls_and_steers_until_it_falls_silent() {
-        let config = configuration(Config::load("go2").unwrap(), 1000);
+        let config = configuration(Config::load("go2").unwrap(), 1000).unwrap();
         let script = Scenario::named("walk", "{}").unwrap().script(0, &config).unwrap();
         let robot = Arc::clone(&script.scene.robot);
         let (mut page, to_robot) = Page::new(&script.scene, 0, Command::velocity(1.0, 0.5, 0.5));
-        let updates = page.publisher.updates();
+        let updates = page.publisher.updates.clone();
         let mut body = Body::new(script, config, None, 0).unwrap();
         body.command(&motor::holding(&robot.nominal_pose, &[60.0; JOINTS], &[5.0; JOINTS]));
         let mut play = |page: &mut Page, ticks: usize| {
@@ -212,11 +193,9 @@ mod tests {
         ask(Act::Hand(Some([0.0, 500.0])));
         let frame = play(&mut page, 10);
         assert!(frame.velocity_in_heading[1] > 0.3, "{:?}", frame.velocity_in_heading);
-        assert_eq!(page.command(), Command::velocity(1.0, 0.0, -0.25));
-        let force_n = match frame.mark {
-            Some(DisturbanceMark::Rope { force }) => force.iter().map(|part| part * part).sum::<f64>().sqrt(),
-            other => panic!("{other:?}"),
-        };
+        assert_eq!(page.command, Command::velocity(1.0, 0.0, -0.25));
+        let Some(DisturbanceMark::Rope { force }) = frame.mark else { panic!("{:?}", frame.mark) };
+        let force_n = force.iter().map(|part| part * part).sum::<f64>().sqrt();
         assert!((force_n - MOST_PULL_N).abs() < 1e-9, "{force_n}");
         let state: serde_json::Value = serde_json::from_str(&updates.state.borrow()).unwrap();
         let shown = &state["state"]["robots"][0];
@@ -227,6 +206,6 @@ mod tests {
         std::thread::sleep(SILENCE + Duration::from_millis(50));
         let mark = play(&mut page, 20).mark;
         assert!(!matches!(mark, Some(DisturbanceMark::Rope { .. })), "{mark:?}");
-        assert_eq!(page.command(), Command::default());
+        assert_eq!(page.command, Command::default());
     }
 }

@@ -1,24 +1,23 @@
 //! Plays the robot in real time: states out at 500 Hz, commands in, a scenario with metrics and a recording.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, channel, sync_channel};
+use std::sync::mpsc::{RecvTimeoutError, SyncSender, TrySendError, sync_channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use serde::Serialize;
 use serde_json::{Value, json};
-use supple::config::{Config, ConfigError};
+use supple::config::Config;
 use supple::estimate::SensorNoise;
-use supple::mujoco;
 use supple::provenance::git_revision;
-use supple::robot::{GRAVITY_M_S2, JointLosses};
+use supple::robot::GRAVITY_M_S2;
 use supple::scenario::Script;
-use supple::scenario::catalog::{Scenario, ScriptError};
-use supple::scenario::metrics::Metric;
+use supple::scenario::catalog::Scenario;
+use supple::scenario::metrics::{Metric, by_name};
 use supple::scenario::trace::{Event, EventKind, Frame, Trace};
-use supple::sim::Ground;
 use supple::task::Command;
 use supple::util::random::{Purpose, stream};
 use supple::util::terminal;
@@ -29,7 +28,9 @@ use super::judge::{Complaint, Judge, Kind};
 use super::link::{Faults, Link};
 use super::operator::Operator;
 use super::page::Page;
-use crate::dds::{Arrival, Delivery, Node, NodeError, Place, switcher};
+use super::settings::Settings;
+use crate::dds::switcher::{self, Mode};
+use crate::dds::{Arrival, Delivery, Node, Place};
 use crate::message::{LowCmd, LowState};
 use crate::remote::{FullSticks, Remote};
 
@@ -47,118 +48,39 @@ const GIVE_UP_S: f64 = 0.05;
 /// Repeated complaints of one kind are printed no more often than this \[s\].
 const REPEAT_S: f64 = 2.0;
 
-/// The simulated robot, its scenario and its connection.
-#[derive(Debug, Clone)]
-pub struct Settings {
-    /// The place in the network.
-    pub place: Place,
-    /// The scenario; `None` for the plane without end.
-    pub scenario: Option<Scenario>,
-    /// Seed of everything random.
-    pub seed: u64,
-    /// Losses in the joints.
-    pub joints: JointLosses,
-    /// Errors of the sensors; `None` for exact ones.
-    pub noise: Option<SensorNoise>,
-    /// Physics rate \[Hz\], a multiple of 500.
-    pub physics_hz: u32,
-    /// Errors of the connection, each way.
-    pub faults: Faults,
-    /// True if commands are obeyed without a release of the robot's own controller.
-    pub released: bool,
-    /// True if head and level flag of commands are not looked at.
-    pub any_head: bool,
-    /// The velocities that full sticks of the simulated remote mean.
-    pub full_sticks: FullSticks,
-    /// File of the recording.
-    pub record: Option<PathBuf>,
-    /// Port of the page on which people push and pull the robot; 0 takes any free one.
-    pub page: Option<u16>,
-    /// Time after which the program ends \[s\]; `None` for the scenario's end or Ctrl-C.
-    pub seconds: Option<f64>,
-}
-
-/// The reason why the robot cannot be served.
-#[derive(Debug, thiserror::Error)]
-pub enum ServeError {
-    /// The network.
-    #[error(transparent)]
-    Node(#[from] NodeError),
-    /// A shipped configuration.
-    #[error(transparent)]
-    Config(#[from] ConfigError),
-    /// A parameter of the scenario.
-    #[error(transparent)]
-    Script(#[from] ScriptError),
-    /// The physics.
-    #[error(transparent)]
-    Physics(#[from] mujoco::Error),
-    /// The recording.
-    #[error(transparent)]
-    Record(#[from] RecordError),
-    /// The page.
-    #[error("{0:#}")]
-    Page(anyhow::Error),
-    /// The physics rate.
-    #[error("physics rate {found} Hz: expected a multiple of {STATE_HZ} Hz, from 500 to 4000")]
-    PhysicsRate {
-        /// The rate that was given \[Hz\].
-        found: u32,
-    },
-}
-
-impl ServeError {
-    /// Checks a physics rate \[Hz\].
-    ///
-    /// # Errors
-    /// It is not a multiple of 500 Hz from 500 to 4000 Hz.
-    pub fn check_physics_rate(found: u32) -> Result<(), Self> {
-        let fits = found.is_multiple_of(STATE_HZ) && (500..=4000).contains(&found);
-        if fits { Ok(()) } else { Err(ServeError::PhysicsRate { found }) }
-    }
-}
-
-/// Keeping of time.
+/// Keeping of time: the number of ticks, of those that began more than 2 ms late, and of those that were left out because the machine is
+/// too slow; and the latest begin of a tick \[s\].
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
-pub struct Pace {
-    /// Number of ticks.
-    pub ticks: u64,
-    /// Ticks that began more than 2 ms late.
-    pub late: u64,
-    /// Ticks that were left out, because the machine is too slow.
-    pub skipped: u64,
-    /// The latest begin of a tick \[s\].
-    pub worst_s: f64,
+struct Pace {
+    ticks: u64,
+    late: u64,
+    skipped: u64,
+    worst_s: f64,
 }
 
 /// The outcome of serving.
-#[derive(Debug)]
 pub struct Summary {
-    /// Metrics of the scenario, if one began.
-    pub metrics: Vec<Metric>,
-    /// Events of the scenario.
-    pub events: Vec<Event>,
-    /// Faults of the client, by kind.
-    pub complaints: std::collections::BTreeMap<Kind, u64>,
+    /// The scenario; `None` for the plane without end.
+    scenario: Option<Scenario>,
+    seed: u64,
+    metrics: Vec<Metric>,
+    events: Vec<Event>,
+    complaints: BTreeMap<Kind, u64>,
     /// Number of commands that were obeyed.
-    pub accepted: u64,
-    /// Keeping of time.
-    pub pace: Pace,
+    accepted: u64,
+    pace: Pace,
 }
 
 impl Summary {
     /// Returns the summary as one JSON object, like that of the program `scenario`.
-    pub fn to_json(&self, settings: &Settings) -> Value {
-        let metrics: serde_json::Map<String, Value> =
-            self.metrics.iter().map(|metric| (metric.name.to_owned(), metric.to_json())).collect();
-        let units: serde_json::Map<String, Value> =
-            self.metrics.iter().map(|metric| (metric.name.to_owned(), json!(metric.unit))).collect();
+    pub fn to_json(&self) -> Value {
+        let metrics = by_name(&self.metrics, Metric::to_json);
         json!({
-            "scenario": settings.scenario.as_ref().map(Scenario::name),
+            "scenario": self.scenario.as_ref().map(Scenario::name),
             "revision": git_revision(),
-            "seed": settings.seed,
-            "parameters": settings.scenario,
-            "units": units,
+            "seed": self.seed,
+            "parameters": self.scenario,
+            "units": by_name(&self.metrics, |metric| json!(metric.unit)),
             "runs": [{"policy": "client", "robot": "go2", "metrics": metrics, "events": self.events}],
             "client": {"accepted": self.accepted, "complaints": self.complaints},
             "pace": self.pace,
@@ -167,40 +89,43 @@ impl Summary {
 
     /// Returns the summary for people.
     pub fn text(&self) -> String {
-        let mut text = format!("commands obeyed: {}\n", self.accepted);
-        for (kind, count) in &self.complaints {
+        let complaint = |(kind, count): (&Kind, &u64)| {
             let verb = if kind.is_refused() { "refused" } else { "noted" };
-            text.push_str(&format!("  {verb}, {}: {count}\n", json!(kind).as_str().unwrap_or_default()));
-        }
-        let Pace { ticks, late, skipped, worst_s } = self.pace;
-        text.push_str(&format!(
-            "ticks: {ticks}; more than 2 ms late: {late}; left out: {skipped}; latest: {:.1} ms\n",
-            1e3 * worst_s
-        ));
-        for Metric { label, value, unit, .. } in &self.metrics {
-            if let Some(value) = value {
-                text.push_str(&format!("  {label:26} {value:.3} {unit}\n"));
-            }
-        }
-        for event in &self.events {
-            text.push_str(&format!("  {:6.2} s  {}\n", event.time_s, event.text));
-        }
-        text
+            format!("  {verb}, {}: {count}\n", json!(kind).as_str().unwrap_or_default())
+        };
+        let complaints: String = self.complaints.iter().map(complaint).collect();
+        let (Pace { ticks, late, skipped, .. }, worst_ms) = (self.pace, 1e3 * self.pace.worst_s);
+        format!(
+            "commands obeyed: {}\n{complaints}ticks: {ticks}; more than 2 ms late: {late}; left out: {skipped}; latest: {worst_ms:.1} \
+             ms\n{}",
+            self.accepted,
+            told(&self.metrics, &self.events)
+        )
     }
+}
+
+/// Returns metrics and events for people.
+pub fn told(metrics: &[Metric], events: &[Event]) -> String {
+    let metric = |Metric { label, value, unit, .. }: &Metric| Some(format!("  {label:26} {:.3} {unit}\n", (*value)?));
+    let event = |event: &Event| format!("  {:6.2} s  {}\n", event.time_s, event.text);
+    metrics.iter().filter_map(metric).chain(events.iter().map(event)).collect()
 }
 
 /// Serves the robot until the scenario ends, the time is over, or `stop` is set.
 ///
 /// # Errors
 /// The network, the scene or the recording fails.
-pub fn play(settings: &Settings, stop: &AtomicBool) -> Result<Summary, ServeError> {
-    ServeError::check_physics_rate(settings.physics_hz)?;
+pub fn play(settings: &Settings, stop: &AtomicBool) -> anyhow::Result<Summary> {
     Served::new(settings)?.play(stop)
 }
 
 /// A robot being served.
-pub struct Served<'a> {
+struct Served<'a> {
     settings: &'a Settings,
+    place: Place,
+    faults: Faults,
+    full_sticks: FullSticks,
+    scenario: Option<Scenario>,
     script: Script,
     body: Body,
     judge: Judge,
@@ -210,7 +135,8 @@ pub struct Served<'a> {
     page: Option<Page>,
     trace: Trace,
     has_begun: bool,
-    printed: Vec<(Kind, f64)>,
+    /// Time of the last printed complaint of each kind \[s\].
+    printed: BTreeMap<Kind, f64>,
     begin: Instant,
 }
 
@@ -219,36 +145,40 @@ const ENDLESS_S: f64 = 1e8;
 
 impl<'a> Served<'a> {
     /// Builds the robot in its scene.
-    fn new(settings: &'a Settings) -> Result<Self, ServeError> {
-        let mut config = configuration(Config::load("go2")?, settings.physics_hz);
+    fn new(settings: &'a Settings) -> anyhow::Result<Self> {
+        let (faults, full_sticks) = (settings.faults()?, settings.full_sticks()?);
+        let (place, scenario) = (settings.network.place()?, settings.scenario()?);
+        let mut config = configuration(Config::load("go2")?, settings.physics_hz)?;
         config.robot.set_losses(settings.joints.into());
-        let mut script = match &settings.scenario {
-            Some(scenario) => scenario.script(settings.seed, &config)?,
-            None => Scenario::Walk(supple::scenario::catalog::defaults("walk")?).script(settings.seed, &config)?,
-        };
-        if settings.scenario.is_none() {
+        let plane = Scenario::named("walk", "{}")?;
+        let mut script = scenario.as_ref().unwrap_or(&plane).script(settings.seed, &config)?;
+        if scenario.is_none() {
             (script.duration_s, script.after_fall_s) = (ENDLESS_S, ENDLESS_S);
         }
         let robot = Arc::clone(&script.scene.robot);
         let standing_m = robot.standing_height_m(&robot.nominal_pose);
-        let operator =
-            settings.scenario.as_ref().map(|_| Operator::new(&script.command, settings.full_sticks, standing_m));
+        let operator = Operator::new(&script.command, full_sticks, standing_m);
         let recording = settings.record.as_ref().map(|path| Recording::start(path.clone(), &script)).transpose()?;
-        let page = settings.page.map(|port| open_page(settings, &script, port)).transpose()?;
-        let body = Body::new(script.clone(), config, settings.noise, settings.seed)?;
+        let page = settings.page.then(|| open_page(settings, full_sticks, &script)).transpose()?;
+        let noise = (!settings.exact_sensors).then(SensorNoise::default);
+        let body = Body::new(script.clone(), config, noise, settings.seed)?;
         let trace = Trace { period_s: FRAME_S, weight_n: robot.mass_kg * GRAVITY_M_S2, ..Trace::default() };
         Ok(Served {
             settings,
+            place,
+            faults,
+            full_sticks,
             judge: Judge::new(robot.joint_limits, settings.any_head),
             script,
             body,
-            operator,
+            operator: scenario.as_ref().map(|_| operator),
+            scenario,
             remote: Remote::default(),
             recording,
             page,
             trace,
             has_begun: false,
-            printed: Vec::new(),
+            printed: BTreeMap::new(),
             begin: Instant::now(),
         })
     }
@@ -257,26 +187,22 @@ impl<'a> Served<'a> {
         self.begin.elapsed().as_secs_f64()
     }
 
-    fn play(mut self, stop: &AtomicBool) -> Result<Summary, ServeError> {
-        let node = Node::open(&self.settings.place)?;
+    fn play(mut self, stop: &AtomicBool) -> anyhow::Result<Summary> {
+        let node = Node::open(&self.place)?;
         let released = Arc::new(AtomicBool::new(self.settings.released));
         let switched = Arc::clone(&released);
         let always = self.settings.released;
-        let _switcher = switcher::serve(&node, move |mode| {
-            switched.store(always || mode.is_released(), Ordering::Relaxed);
-        })?;
+        let changed = move |mode: &Mode| switched.store(always || mode.is_released(), Ordering::Relaxed);
+        let _switcher = switcher::serve(&node, changed)?;
         let (sender, arrivals) = sync_channel::<Arrival<LowCmd>>(64);
-        let _commands = node.listen::<LowCmd>(COMMANDS, LowCmd::TYPE, Delivery::BestEffort, move |arrival| {
-            // Full: this loop is too slow, and the message is lost as on a full network.
-            let _ = sender.try_send(arrival);
-        })?;
+        // Full: this loop is too slow, and the message is lost as on a full network.
+        let take = move |arrival| drop(sender.try_send(arrival));
+        let _commands = node.listen(COMMANDS, LowCmd::TYPE, Delivery::BestEffort, take)?;
         let states = node.publish::<LowState>(STATES, LowState::TYPE, Delivery::BestEffort)?;
         let mut rng = stream(self.settings.seed, Purpose::Sensor, 1, 0);
-        let mut outward = Link::new(self.settings.faults);
-        let mut inward = Link::new(self.settings.faults);
-        let mut pace = Pace::default();
+        let (mut outward, mut inward) = (Link::new(self.faults), Link::new(self.faults));
+        let (mut pace, mut due_s) = (Pace::default(), 0.0);
         self.begin = Instant::now();
-        let mut due_s = 0.0;
         loop {
             let now_s = self.now_s();
             let late_s: f64 = now_s - due_s;
@@ -297,10 +223,8 @@ impl<'a> Served<'a> {
             // Until the next tick: messages.
             loop {
                 let now_s = self.now_s();
-                while let Some(state) = outward.take(now_s) {
-                    // A client that is gone gets no state.
-                    let _ = states.send(state);
-                }
+                // A client that is gone gets no state.
+                std::iter::from_fn(|| outward.take(now_s)).for_each(|state| drop(states.send(state)));
                 while let Some(arrival) = inward.take(now_s) {
                     self.take(&arrival, released.load(Ordering::Relaxed));
                 }
@@ -321,29 +245,29 @@ impl<'a> Served<'a> {
 
     fn take(&mut self, arrival: &Arrival<LowCmd>, released: bool) {
         let now_s = self.now_s();
-        let was_silent = self.judge.is_silent();
+        let was_silent = self.judge.is_silent;
         let complaints = self.judge.take(&arrival.message, arrival.writer, now_s, released);
         complaints.iter().for_each(|complaint| self.complain(complaint, now_s));
-        if was_silent && !self.judge.is_silent() {
+        if was_silent && !self.judge.is_silent {
             self.say(now_s, "commands come");
         }
     }
 
     /// Plays a tick; returns true if the script is over.
-    fn tick(&mut self, now_s: f64) -> Result<bool, ServeError> {
+    fn tick(&mut self, now_s: f64) -> anyhow::Result<bool> {
         if let Some(complaint) = self.judge.wait(now_s) {
             self.complain(&complaint, now_s);
         }
-        self.body.command(self.judge.motors());
+        self.body.command(&self.judge.motors);
         if let Some(page) = &mut self.page {
             page.act(&mut self.body);
             if self.operator.is_none() {
-                self.remote = self.settings.full_sticks.remote(&page.command());
-                self.body.playback().ask(page.command());
+                self.remote = self.full_sticks.remote(&page.command);
+                self.body.playback.ask(page.command);
             }
         }
         if let Some(operator) = &mut self.operator {
-            let (remote, begins) = operator.act(&self.body.sight(now_s, !self.judge.is_silent()));
+            let (remote, begins) = operator.act(&self.body.sight(now_s, !self.judge.is_silent));
             self.remote = remote;
             if begins {
                 self.body.begin();
@@ -356,16 +280,11 @@ impl<'a> Served<'a> {
             let complaint = self.judge.saturated(joint, torque, limit);
             self.complain(&complaint, now_s);
         }
-        for event in &tick.events {
-            terminal::note(format_args!("{now_s:8.3} s: {}", event.text));
-        }
-        if let Some(recording) = &mut self.recording {
-            recording.add(tick.frame.as_ref(), &tick.events);
-        }
-        if let Some(page) = &mut self.page {
-            page.show(tick.frame.as_ref(), &tick.events);
-        }
-        if self.has_begun && self.settings.scenario.is_some() {
+        tick.events.iter().for_each(|event| terminal::note(format_args!("{now_s:8.3} s: {}", event.text)));
+        let (frame, events) = (tick.frame.as_ref(), &tick.events);
+        self.recording.iter_mut().for_each(|recording| recording.add(frame, events));
+        self.page.iter_mut().for_each(|page| page.show(frame, events));
+        if self.has_begun && self.scenario.is_some() {
             self.trace.frames.extend(tick.frame.map(|frame| Frame { bodies: Vec::new(), ..frame }));
             self.trace.events.extend(tick.events);
         }
@@ -374,12 +293,10 @@ impl<'a> Served<'a> {
 
     /// Prints a complaint, unless one of its kind has been printed a moment ago.
     fn complain(&mut self, complaint: &Complaint, now_s: f64) {
-        let last = self.printed.iter_mut().find(|(kind, _)| *kind == complaint.kind);
-        match last {
-            Some((_, last_s)) if now_s - *last_s < REPEAT_S => return,
-            Some((_, last_s)) => *last_s = now_s,
-            None => self.printed.push((complaint.kind, now_s)),
+        if self.printed.get(&complaint.kind).is_some_and(|last_s| now_s - last_s < REPEAT_S) {
+            return;
         }
+        self.printed.insert(complaint.kind, now_s);
         let verb = if complaint.kind.is_refused() { "refused: " } else { "" };
         self.say(now_s, &format!("{verb}{}", complaint.text));
     }
@@ -387,37 +304,35 @@ impl<'a> Served<'a> {
     /// Shows a text on the terminal and the page.
     fn say(&mut self, now_s: f64, text: &str) {
         terminal::note(format_args!("{now_s:8.3} s: {text}"));
-        if let Some(page) = &mut self.page {
-            page.notice(text.to_owned());
-        }
+        self.page.iter_mut().for_each(|page| page.publisher.notice(text.to_owned()));
     }
 
-    fn finish(self, pace: Pace) -> Result<Summary, ServeError> {
+    fn finish(self, pace: Pace) -> anyhow::Result<Summary> {
         if let Some(recording) = self.recording {
             recording.finish()?;
         }
-        let metrics = match &self.settings.scenario {
-            Some(scenario) if self.has_begun => scenario.metrics(&self.script, &self.trace),
-            _ => Vec::new(),
-        };
+        let scenario = self.scenario.as_ref().filter(|_| self.has_begun);
+        let metrics = scenario.map_or_else(Vec::new, |scenario| scenario.metrics(&self.script, &self.trace));
         if let Some(fault) = self.trace.events.iter().find(|event| event.kind == EventKind::Fault) {
             terminal::note(format_args!("the simulation stopped: {}", fault.text));
         }
         Ok(Summary {
+            scenario: self.scenario,
+            seed: self.settings.seed,
             metrics,
             events: self.trace.events,
-            complaints: self.judge.counts().clone(),
-            accepted: self.judge.accepted(),
+            complaints: self.judge.counts,
+            accepted: self.judge.accepted,
             pace,
         })
     }
 }
 
 /// Opens the page on a port of this machine.
-fn open_page(settings: &Settings, script: &Script, port: u16) -> Result<Page, ServeError> {
-    let [forward, left, yaw] = settings.full_sticks.0;
+fn open_page(settings: &Settings, full: FullSticks, script: &Script) -> anyhow::Result<Page> {
+    let [forward, left, yaw] = full.0;
     let (page, to_robot) = Page::new(&script.scene, settings.seed, Command::velocity(forward, left, yaw));
-    let url = page.serve(to_robot, port).map_err(ServeError::Page)?;
+    let url = page.serve(to_robot, settings.port)?;
     terminal::note(format_args!("push and pull the robot at {url}"));
     Ok(page)
 }
@@ -435,23 +350,17 @@ struct Recording {
 const WAITING_FRAMES: usize = 200;
 
 impl Recording {
-    fn start(path: PathBuf, script: &Script) -> Result<Self, ServeError> {
+    fn start(path: PathBuf, script: &Script) -> anyhow::Result<Self> {
         let model = script.scene.compile_visual()?;
-        let ground: Ground = script.scene.ground.clone();
-        let (sender, frames) = sync_channel::<(Option<Frame>, Vec<Event>)>(WAITING_FRAMES);
-        let (opened, open) = channel();
-        let record = move || {
-            let view = RobotView { name: "client", model: &model, ground: &ground, tint: None, estimates: false };
-            let mut recorder = Recorder::new(Sink::File(path), "Go2", &[view])?;
-            let _ = opened.send(());
-            write(&frames, &mut recorder)?;
+        let view = RobotView::new("client", &model, &script.scene);
+        let mut recorder = Recorder::new(Sink::File(path), "Go2", &[view])?;
+        let (sender, steps) = sync_channel::<(Option<Frame>, Vec<Event>)>(WAITING_FRAMES);
+        let thread = std::thread::spawn(move || {
+            for (frame, events) in steps {
+                recorder.step(0, frame.as_ref(), &events)?;
+            }
             recorder.finish()
-        };
-        let thread = std::thread::spawn(record);
-        if open.recv().is_err() {
-            thread.join().unwrap_or(Ok(()))?;
-            unreachable!("a thread that does not open its recording says why");
-        }
+        });
         Ok(Recording { sender, thread, time_s: 0.0, lost: 0 })
     }
 
@@ -463,9 +372,7 @@ impl Recording {
         let time_s = self.time_s;
         let frame = frame.map(|frame| Frame { time_s, ..frame.clone() });
         let events = events.iter().map(|event| Event { time_s, ..event.clone() }).collect();
-        if let Err(TrySendError::Full(_)) = self.sender.try_send((frame, events)) {
-            self.lost += 1;
-        }
+        self.lost += u64::from(matches!(self.sender.try_send((frame, events)), Err(TrySendError::Full(_))));
     }
 
     fn finish(self) -> Result<(), RecordError> {
@@ -475,14 +382,4 @@ impl Recording {
         }
         self.thread.join().unwrap_or(Ok(()))
     }
-}
-
-fn write(frames: &Receiver<(Option<Frame>, Vec<Event>)>, recorder: &mut Recorder) -> Result<(), RecordError> {
-    for (frame, events) in frames {
-        if let Some(frame) = &frame {
-            recorder.frame(0, frame)?;
-        }
-        events.iter().try_for_each(|event| recorder.event(0, event))?;
-    }
-    Ok(())
 }

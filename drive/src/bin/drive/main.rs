@@ -15,8 +15,8 @@ use supple::util::{files, terminal};
 use supple_drive::live::{self, Live};
 use supple_drive::message::Message;
 use supple_drive::publisher::{Publisher, Updates};
-use supple_drive::request::{Hello, MOST_PULL_N, MOST_PUSH_M_S, MOST_PUSH_N_S};
-use supple_drive::server::{self, Serving, start_thread};
+use supple_drive::request::MOST;
+use supple_drive::server::{self, start_thread};
 use supple_drive::{replay, viewer_stream};
 
 /// Length of the message queue: enough for the seconds in which a scene is built.
@@ -49,7 +49,9 @@ fn watch(args: &Args, session: &Path) -> anyhow::Result<()> {
     let publisher = Publisher::new(&playback.world);
     let (to_robots, messages) = sync_channel(QUEUE);
     let to_self = to_robots.clone();
-    serve(args, publisher.updates(), to_robots, || replay::watch(session, playback, publisher, &to_self, &messages))
+    serve(args, publisher.updates.clone(), to_robots, || {
+        replay::watch(session, playback, publisher, &to_self, &messages)
+    })
 }
 
 /// Serves pages and viewers while `play` runs.
@@ -60,7 +62,7 @@ fn serve(
     play: impl FnOnce() -> anyhow::Result<()>,
 ) -> anyhow::Result<()> {
     let shown = updates.shown.subscribe();
-    let Serving { url, runtime } = server::start(args.bind, args.port, to_robots.clone(), updates, hello(args))?;
+    let (url, runtime) = server::start(args.bind, args.port, to_robots.clone(), updates, hello(args))?;
     if let Some(viewer) = args.connect.clone() {
         let to_robots = to_robots.clone();
         start_thread("feeding a viewer", move || {
@@ -86,9 +88,8 @@ fn stop_on_signals(to_robots: SyncSender<Message>) -> anyhow::Result<()> {
     let ask = move || {
         let to_robots = to_robots.clone();
         // On another thread, because it waits while the queue is full.
-        if start_thread("stopping", move || drop(to_robots.send(Message::Stop))).is_err() {
-            std::process::exit(130);
-        }
+        let asked = start_thread("stopping", move || drop(to_robots.send(Message::Stop)));
+        asked.unwrap_or_else(|_| std::process::exit(130));
     };
     terminal::on_signals(ask, "stopped at once").context("cannot catch Ctrl-C")
 }
@@ -106,18 +107,18 @@ fn setup(args: &Args, cache: &mut AgentCache) -> anyhow::Result<Setup> {
     Ok(Setup { scene: args.scene, seed: args.seed, robots })
 }
 
-fn hello(args: &Args) -> Hello {
-    Hello {
-        policies: shipped::EMBEDDED.iter().map(|(name, _)| (*name).to_owned()).collect(),
-        scenes: SceneKind::value_variants().to_vec(),
-        most: [MOST_PUSH_M_S, MOST_PUSH_N_S, MOST_PULL_N],
-        viewer: args.connect.is_none(),
-        is_served: false,
-    }
+fn hello(args: &Args) -> serde_json::Value {
+    serde_json::json!({
+        "policies": shipped::EMBEDDED.iter().map(|(name, _)| *name).collect::<Vec<_>>(),
+        "scenes": SceneKind::value_variants(),
+        "most": MOST,
+        "viewer": args.connect.is_none(),
+        "is_served": false,
+    })
 }
 
 fn replay_headless(session: &Path, recording: Option<&Path>) -> anyhow::Result<()> {
-    let replayed = replay::play(SavedSession::load(session)?, recording, |_, _| ())?;
+    let replayed = replay::play(SavedSession::load(session)?, recording, || ())?;
     let falls: Vec<String> = replayed.falls.iter().map(ToString::to_string).collect();
     let steps = replayed.steps;
     terminal::print(format_args!("{:.2} s shown, {steps} steps, falls: {}\n", replayed.shown_s, falls.join(", ")))?;

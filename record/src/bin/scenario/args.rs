@@ -77,7 +77,6 @@ pub struct Args {
     /// Write the trace, one row for each policy step; `-` writes it to stdout, and the summary to stderr
     #[arg(long, global = true, help_heading = OUTPUT, value_name = "FILE")]
     pub csv: Option<PathBuf>,
-    /// The scenario or command.
     #[command(subcommand)]
     pub what: What,
 }
@@ -100,9 +99,7 @@ pub enum What {
 pub fn parse() -> anyhow::Result<Args> {
     let line: Vec<OsString> = std::env::args_os().collect();
     let args = from_line(command(None)?, &line);
-    let (Some(file), What::Play(scenario)) = (&args.params, &args.what) else {
-        return Ok(args);
-    };
+    let (Some(file), What::Play(scenario)) = (&args.params, &args.what) else { return Ok(args) };
     let text = Text::read(file).with_context(|| format!("cannot read {}", file.display()))?;
     let parameters = flat_parameters(&text)?;
     Ok(from_line(command(Some((scenario.name(), parameters)))?, &line))
@@ -120,25 +117,14 @@ type Parameters<'a> = (&'a str, Vec<(String, Option<String>)>);
 fn command(file: Option<Parameters<'_>>) -> anyhow::Result<clap::Command> {
     let mut command = Args::command();
     for (name, text) in DEFAULTS {
-        command = with_defaults(command, name, flat_parameters(&Text::new(name, text))?)?;
+        command = with_defaults(command, (name, flat_parameters(&Text::new(name, text))?))?;
     }
-    match file {
-        Some((name, parameters)) => with_defaults(command, name, parameters),
-        None => Ok(command),
-    }
+    if let Some(file) = file { with_defaults(command, file) } else { Ok(command) }
 }
 
-fn with_defaults(
-    command: clap::Command,
-    scenario: &str,
-    parameters: Vec<(String, Option<String>)>,
-) -> anyhow::Result<clap::Command> {
-    let known: Vec<String> = command
-        .find_subcommand(scenario)
-        .into_iter()
-        .flat_map(clap::Command::get_arguments)
-        .map(|argument| argument.get_id().to_string())
-        .collect();
+fn with_defaults(command: clap::Command, (scenario, parameters): Parameters<'_>) -> anyhow::Result<clap::Command> {
+    let arguments = command.find_subcommand(scenario).into_iter().flat_map(clap::Command::get_arguments);
+    let known: Vec<String> = arguments.map(|argument| argument.get_id().to_string()).collect();
     if let Some((unknown, _)) = parameters.iter().find(|(name, _)| !known.contains(name)) {
         anyhow::bail!("scenario {scenario} has no parameter '{unknown}'; it has: {}", known.join(", "));
     }

@@ -5,19 +5,18 @@ mod output;
 mod recording;
 mod seeds;
 mod session;
-#[cfg(feature = "video")]
-mod video;
 
 use std::ops::RangeInclusive;
 use std::process::ExitCode;
 
-use anyhow::Context;
+use anyhow::{Context, Result};
 use args::{Args, What};
 use clap::CommandFactory;
 use output::Outcome;
 use recording::Recording;
 use seeds::OfSeeds;
 use supple::estimate::contact::ContactNetwork;
+use supple::mujoco::{self, Model};
 use supple::policy::Agent;
 use supple::policy::compliance::policy_label;
 use supple::policy::shipped;
@@ -29,6 +28,9 @@ use supple::scenario::trace::Trace;
 use supple::scenario::{Playback, Script, Sensing};
 use supple::util::progress::{ProgressBar, progress};
 use supple::util::terminal;
+use supple_record::RobotView;
+#[cfg(feature = "video")]
+use supple_record::Video;
 
 /// The error of `--video` in a program without the feature of that name.
 #[cfg(not(feature = "video"))]
@@ -41,7 +43,7 @@ fn main() -> ExitCode {
     terminal::conclude(args::parse().and_then(|args| run(&args)))
 }
 
-fn run(args: &Args) -> anyhow::Result<()> {
+fn run(args: &Args) -> Result<()> {
     match &args.what {
         What::List => list(),
         What::Session { file } => session::measure(args, file),
@@ -49,7 +51,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
     }
 }
 
-fn list() -> anyhow::Result<()> {
+fn list() -> Result<()> {
     let is_scenario = |command: &&clap::Command| !matches!(command.get_name(), "list" | "session");
     for scenario in Args::command().get_subcommands().filter(is_scenario) {
         let about = scenario.get_about().map(ToString::to_string).unwrap_or_default();
@@ -58,12 +60,12 @@ fn list() -> anyhow::Result<()> {
     Ok(())
 }
 
-fn play_scenario(args: &Args, scenario: &Scenario) -> anyhow::Result<()> {
+fn play_scenario(args: &Args, scenario: &Scenario) -> Result<()> {
     output::check(args)?;
     #[cfg(not(feature = "video"))]
     anyhow::ensure!(args.video.is_none(), NO_VIDEO);
     #[cfg(feature = "video")]
-    let video = video::check(args)?;
+    let video = args.video.as_deref().map(|path| Video::new(path, args.video_size)).transpose()?;
     let mut robots = robots(args)?;
     if let Some(model) = &args.model {
         terminal::note(format_args!("{model}:"));
@@ -74,8 +76,8 @@ fn play_scenario(args: &Args, scenario: &Scenario) -> anyhow::Result<()> {
     if let Some(joints) = args.joints {
         robots.iter_mut().for_each(|(_, agent)| agent.config.robot.set_losses(joints.into()));
     }
-    let scripts = scripts(args, scenario, &robots, args.seed)?;
-    if let Some(late) = scripts.first().and_then(Script::too_late) {
+    let trial = Trial::new(args, scenario, &robots, args.seed)?;
+    if let Some(late) = trial.scripts.first().and_then(Script::too_late) {
         terminal::note(format_args!("note: {late}"));
     }
     if args.sensing == Sensing::Estimated {
@@ -86,17 +88,17 @@ fn play_scenario(args: &Args, scenario: &Scenario) -> anyhow::Result<()> {
     if let Some(seeds) = &args.seeds {
         return play_seeds(args, scenario, &robots, seeds);
     }
-    let mut recording = Recording::start(args, scenario, &robots, &scripts)?;
-    let bar = progress(steps(&robots, &scripts));
-    let traces = play(args, args.seed, &robots, &scripts, &mut recording, &bar)?;
+    let mut recording = Recording::start(&trial)?;
+    let bar = progress(trial.steps());
+    let traces = trial.play(&mut recording, &bar)?;
     bar.finish_and_clear();
-    let played = robots.iter().zip(&scripts).zip(&traces);
+    let played = robots.iter().zip(trial.metrics(&traces)).zip(&traces);
     let outcomes: Vec<Outcome<'_>> = played
-        .map(|(((name, agent), script), trace)| Outcome {
+        .map(|(((name, agent), metrics), trace)| Outcome {
             policy: name,
             sha256: agent.sha256.clone(),
             robot: &agent.config.robot.model,
-            metrics: metrics(args.sensing, scenario, script, trace),
+            metrics,
             trace,
         })
         .collect();
@@ -104,12 +106,9 @@ fn play_scenario(args: &Args, scenario: &Scenario) -> anyhow::Result<()> {
     let object = || output::to_json(scenario, args.seed, args.sensing, &outcomes);
     let told = output::tell(args, scenario.name(), &outcomes, object);
     #[cfg(feature = "video")]
-    let told = told.and_then(|()| match &video {
-        Some(video) => video::write(video, args, scenario, &robots, &scripts, &traces),
-        None => Ok(()),
-    });
+    let told = told.and_then(|()| video.map_or(Ok(()), |video| trial.draw(&video, &traces)));
     // A recording is whole also if nothing else could be written. One that is served waits here until it is stopped.
-    let recorded = recording.finish(args, scenario, &robots, &scripts, &traces);
+    let recorded = recording.finish(&trial, &traces);
     if let (Err(_), Err(error)) = (&told, &recorded) {
         terminal::note(format_args!("error: {}", terminal::complaint(error.as_ref())));
     }
@@ -121,40 +120,13 @@ fn play_scenario(args: &Args, scenario: &Scenario) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Builds the script of each robot.
-fn scripts(args: &Args, scenario: &Scenario, robots: &[(String, Agent)], seed: u64) -> anyhow::Result<Vec<Script>> {
-    let script = |(name, agent): &(String, Agent)| -> anyhow::Result<Script> {
-        let mut script = scenario.script(seed, &agent.config)?;
-        let compliance = agent.resolve_compliance(None, script.command.compliance);
-        script.command.compliance = compliance.with_context(|| name.clone())?;
-        Ok(script)
-    };
-    robots.iter().map(script).collect::<anyhow::Result<_>>().map_err(|error| match &args.params {
-        Some(file) => error.context(format!("with the parameters of {}", file.display())),
-        None => error,
-    })
-}
-
 /// Plays the scenario with every seed, and prints means and spread; with the first seed alone if seeds draw nothing.
-fn play_seeds(
-    args: &Args,
-    scenario: &Scenario,
-    robots: &[(String, Agent)],
-    seeds: &RangeInclusive<u64>,
-) -> anyhow::Result<()> {
-    let mut runs: Vec<OfSeeds> = robots
-        .iter()
-        .map(|(name, agent)| OfSeeds {
-            policy: name.clone(),
-            sha256: agent.sha256.clone(),
-            robot: agent.config.robot.model.clone(),
-            metrics: Vec::new(),
-        })
-        .collect();
-    let of_seed = |seed: &u64| scripts(args, scenario, robots, *seed);
+fn play_seeds(args: &Args, scenario: &Scenario, robots: &[(String, Agent)], seeds: &RangeInclusive<u64>) -> Result<()> {
+    let mut runs: Vec<OfSeeds<'_>> = robots.iter().map(|played| OfSeeds { played, metrics: Vec::new() }).collect();
+    let of_seed = |seed: &u64| Trial::new(args, scenario, robots, *seed);
     let (first, last) = (seeds.start(), seeds.end());
     // The same trial again and again has no spread.
-    let is_one = first < last && args.sensing == Sensing::True && of_seed(first)? == of_seed(last)?;
+    let is_one = first < last && args.sensing == Sensing::True && of_seed(first)?.scripts == of_seed(last)?.scripts;
     if is_one {
         let name = scenario.name();
         terminal::note(format_args!("note: seeds draw nothing in {name}: there is one trial, that of seed {first}"));
@@ -163,15 +135,15 @@ fn play_seeds(
     let mut failed = None;
     let bar = progress(0);
     for seed in seeds.clone() {
-        let scripts = of_seed(&seed)?;
-        bar.set_length(seeds.clone().count() as u64 * steps(robots, &scripts));
+        let trial = of_seed(&seed)?;
+        bar.set_length(seeds.clone().count() as u64 * trial.steps());
         bar.set_message(format!("seed {seed}"));
-        let traces = play(args, seed, robots, &scripts, &mut Recording::none(), &bar)?;
-        for ((run, script), trace) in runs.iter_mut().zip(&scripts).zip(&traces) {
-            run.metrics.push(metrics(args.sensing, scenario, script, trace));
+        let traces = trial.play(&mut Recording::none(), &bar)?;
+        for ((run, metrics), trace) in runs.iter_mut().zip(trial.metrics(&traces)).zip(&traces) {
+            run.metrics.push(metrics);
             if let (Some(fault), None) = (trace.fault(), &failed) {
                 failed =
-                    Some(format!("{}, seed {seed}: stopped after {:.2} s: {}", run.policy, fault.time_s, fault.text));
+                    Some(format!("{}, seed {seed}: stopped after {:.2} s: {}", run.played.0, fault.time_s, fault.text));
             }
         }
     }
@@ -184,19 +156,9 @@ fn play_seeds(
     failed.map_or(Ok(()), |failed| Err(anyhow::anyhow!(failed)))
 }
 
-/// Computes the scenario's metrics, and those of the state estimate if there is one.
-fn metrics(sensing: Sensing, scenario: &Scenario, script: &Script, trace: &Trace) -> Vec<Metric> {
-    let mut found = scenario.metrics(script, trace);
-    found.extend(felt_forces(trace));
-    if sensing == Sensing::Estimated {
-        found.extend(Estimation::metrics(trace));
-    }
-    found
-}
-
 /// Loads the policies to play, by name, with the commanded compliance [m/s/N] unless their names contain one.
-fn robots(args: &Args) -> anyhow::Result<Vec<(String, Agent)>> {
-    let robot = |asked: &str| -> anyhow::Result<(String, Agent)> {
+fn robots(args: &Args) -> Result<Vec<(String, Agent)>> {
+    let robot = |asked: &str| -> Result<(String, Agent)> {
         let agent = shipped::find(asked)?;
         if let Some(unfinished) = agent.policy().and_then(|policy| policy.provenance.unfinished()) {
             terminal::note(format_args!("note: {asked} {unfinished}"));
@@ -219,39 +181,101 @@ fn robots(args: &Args) -> anyhow::Result<Vec<(String, Agent)>> {
     Ok(robots)
 }
 
-/// Plays all robots step by step in parallel, and records them.
-fn play(
-    args: &Args,
+/// A scenario with a seed, and what it has each robot do.
+pub struct Trial<'a> {
+    args: &'a Args,
+    scenario: &'a Scenario,
     seed: u64,
-    robots: &[(String, Agent)],
-    scripts: &[Script],
-    recording: &mut Recording,
-    bar: &ProgressBar,
-) -> anyhow::Result<Vec<Trace>> {
-    let mut rollouts = Vec::new();
-    for ((_, agent), script) in robots.iter().zip(scripts) {
-        let rollout = Playback::new(script, &agent.config, agent.controller())?.with_felt_forces()?.with_bodies();
-        rollouts.push(rollout.with_sensing(args.sensing, seed)?);
-    }
-    let mut traces: Vec<Trace> = rollouts.iter().map(Playback::empty_trace).collect();
-    let mut playing = true;
-    while playing {
-        playing = false;
-        for (index, rollout) in rollouts.iter_mut().enumerate() {
-            let Some(played) = rollout.next() else { continue };
-            playing = true;
-            recording.add(index, &played)?;
-            traces[index].events.extend(played.events);
-            traces[index].frames.extend(played.frame);
-        }
-        bar.inc(1);
-    }
-    Ok(traces)
+    robots: &'a [(String, Agent)],
+    scripts: Vec<Script>,
 }
 
-/// Returns the number of policy steps of the longest playback, at most.
-fn steps(robots: &[(String, Agent)], scripts: &[Script]) -> u64 {
-    let steps =
-        |((_, agent), script): (&(String, Agent), &Script)| agent.config.simulation.policy_steps(script.duration_s);
-    robots.iter().zip(scripts).map(steps).max().unwrap_or(0) as u64
+impl<'a> Trial<'a> {
+    fn new(args: &'a Args, scenario: &'a Scenario, robots: &'a [(String, Agent)], seed: u64) -> Result<Self> {
+        let script = |(name, agent): &(String, Agent)| -> Result<Script> {
+            let mut script = scenario.script(seed, &agent.config)?;
+            let compliance = agent.resolve_compliance(None, script.command.compliance);
+            script.command.compliance = compliance.with_context(|| name.clone())?;
+            Ok(script)
+        };
+        let scripts = robots.iter().map(script).collect::<Result<_>>().map_err(|error| match &args.params {
+            Some(file) => error.context(format!("with the parameters of {}", file.display())),
+            None => error,
+        })?;
+        Ok(Trial { args, scenario, seed, robots, scripts })
+    }
+
+    /// Iterates over the robots with their scripts.
+    fn parts(&self) -> impl Iterator<Item = (&'a (String, Agent), &Script)> {
+        self.robots.iter().zip(&self.scripts)
+    }
+
+    /// Returns the number of policy steps of the longest playback, at most.
+    fn steps(&self) -> u64 {
+        let steps = self.parts().map(|((_, agent), script)| agent.config.simulation.policy_steps(script.duration_s));
+        steps.max().unwrap_or(0) as u64
+    }
+
+    fn play(&self, recording: &mut Recording, bar: &ProgressBar) -> Result<Vec<Trace>> {
+        let mut rollouts = Vec::new();
+        for ((_, agent), script) in self.parts() {
+            let rollout = Playback::new(script, &agent.config, agent.controller())?.with_felt_forces()?.with_bodies();
+            rollouts.push(rollout.with_sensing(self.args.sensing, self.seed)?);
+        }
+        let mut traces: Vec<Trace> = rollouts.iter().map(Playback::empty_trace).collect();
+        let mut playing = true;
+        while playing {
+            playing = false;
+            for (index, rollout) in rollouts.iter_mut().enumerate() {
+                let Some(played) = rollout.next() else { continue };
+                playing = true;
+                recording.add(index, &played)?;
+                traces[index].events.extend(played.events);
+                traces[index].frames.extend(played.frame);
+            }
+            bar.inc(1);
+        }
+        Ok(traces)
+    }
+
+    /// Computes the scenario's metrics of each robot, and those of the state estimate if there is one.
+    fn metrics(&self, traces: &[Trace]) -> Vec<Vec<Metric>> {
+        let of = |(script, trace): (&Script, &Trace)| {
+            let mut found = self.scenario.metrics(script, trace);
+            found.extend(felt_forces(trace));
+            if self.args.sensing == Sensing::Estimated {
+                found.extend(Estimation::metrics(trace));
+            }
+            found
+        };
+        self.scripts.iter().zip(traces).map(of).collect()
+    }
+
+    /// Compiles the model of each robot for display.
+    fn models(&self) -> mujoco::Result<Vec<Model>> {
+        self.scripts.iter().map(|script| script.scene.compile_visual()).collect()
+    }
+
+    /// Returns how each robot is drawn.
+    fn views<'m>(&'m self, models: &'m [Model]) -> Vec<RobotView<'m>> {
+        let parts = self.parts().zip(models).map(|(((name, _), script), model)| (name.as_str(), model, &script.scene));
+        let estimates = self.args.sensing == Sensing::Estimated;
+        RobotView::several(parts).into_iter().map(|view| RobotView { estimates, ..view }).collect()
+    }
+
+    /// Draws the traces and writes the video.
+    #[cfg(feature = "video")]
+    fn draw(&self, video: &Video, traces: &[Trace]) -> Result<()> {
+        let models = self.models()?;
+        let played: Vec<_> = self.views(&models).into_iter().zip(traces).collect();
+        let bar = progress(0);
+        bar.set_message("drawing the video");
+        video.write(self.scenario.name(), &played, |drawn, count| {
+            bar.set_length(count);
+            bar.set_position(drawn);
+        })?;
+        bar.finish_and_clear();
+        terminal::note(format_args!("the video is in {}", video.path.display()));
+        Ok(())
+    }
 }

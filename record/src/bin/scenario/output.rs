@@ -16,15 +16,11 @@ use crate::args::Args;
 
 /// A finished playback.
 pub struct Outcome<'a> {
-    /// Name of the policy.
     pub policy: &'a str,
-    /// SHA-256 of the policy.
     pub sha256: String,
     /// Name or file of the robot.
     pub robot: &'a str,
-    /// The trace of the playback.
     pub trace: &'a Trace,
-    /// Metrics of the scenario.
     pub metrics: Vec<Metric>,
 }
 
@@ -116,15 +112,13 @@ pub fn to_json(scenario: &Scenario, seed: u64, sensing: Sensing, outcomes: &[Out
 
 /// Returns a playback as JSON.
 pub fn run(outcome: &Outcome<'_>) -> Value {
-    let metrics: serde_json::Map<String, Value> =
-        outcome.metrics.iter().map(|metric| (metric.name.to_owned(), metric.to_json())).collect();
     let undefined: serde_json::Map<String, Value> =
         outcome.metrics.iter().filter_map(|metric| Some((metric.name.to_owned(), json!(metric.reason?)))).collect();
     json!({
         "policy": outcome.policy,
         "sha256": outcome.sha256,
         "robot": outcome.robot,
-        "metrics": metrics,
+        "metrics": metrics::by_name(&outcome.metrics, Metric::to_json),
         "undefined": undefined,
         "events": outcome.trace.events,
     })
@@ -133,7 +127,7 @@ pub fn run(outcome: &Outcome<'_>) -> Value {
 /// Returns the units of the metrics by name.
 pub fn units(outcomes: &[Outcome<'_>]) -> Value {
     let metrics = outcomes.first().map_or(&[][..], |outcome| &outcome.metrics);
-    metrics.iter().map(|metric| (metric.name.to_owned(), json!(metric.unit))).collect()
+    metrics::by_name(metrics, |metric| json!(metric.unit))
 }
 
 /// A column of the CSV file: its name, and its value in a frame.
@@ -203,9 +197,9 @@ pub fn write_csv(file: &mut dyn Write, outcomes: &[Outcome<'_>]) -> io::Result<(
                 [x, y, sensed.height_m, u, v, w].map(|value| value.to_string())
             });
             let felt = frame.felt.map(|felt| {
-                let [forward, left, true_forward, true_left] =
-                    [felt.force[0], felt.force[1], felt.true_force[0], felt.true_force[1]].map(|it| it.to_string());
-                [forward, left, true_forward, true_left, felt.doubt.is_none().to_string()]
+                let ([forward, left, _], [true_forward, true_left, _]) = (felt.force, felt.true_force);
+                let [a, b, c, d] = [forward, left, true_forward, true_left].map(|force| force.to_string());
+                [a, b, c, d, felt.doubt.is_none().to_string()]
             });
             table.write_record(estimated.unwrap_or_default().into_iter().chain(felt.unwrap_or_default()))?;
         }

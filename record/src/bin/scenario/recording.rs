@@ -1,17 +1,12 @@
 //! The recording of a scenario, and clips of falls.
 
-use std::path::Path;
-
-use anyhow::Context;
-use supple::mujoco::Model;
-use supple::policy::Agent;
-use supple::scenario::catalog::Scenario;
+use anyhow::{Context, Result};
+use supple::scenario::PlaybackStep;
 use supple::scenario::trace::Trace;
-use supple::scenario::{PlaybackStep, Script, Sensing};
 use supple::util::terminal;
-use supple_record::{BLUE, ORANGE, RecordError, Recorder, RobotView, Sink, page_url};
+use supple_record::{RecordError, Recorder, Sink, page_url, record};
 
-use crate::args::Args;
+use crate::Trial;
 
 /// Length of a clip before the fall \[s\].
 const CLIP_S: f64 = 2.0;
@@ -24,20 +19,17 @@ pub struct Recording {
 
 impl Recording {
     /// Opens the recording that the command line selects.
-    pub fn start(
-        args: &Args,
-        scenario: &Scenario,
-        robots: &[(String, Agent)],
-        scripts: &[Script],
-    ) -> anyhow::Result<Self> {
+    pub fn start(trial: &Trial<'_>) -> Result<Self> {
+        let (args, title) = (trial.args, trial.scenario.name());
         let sink = match (&args.record, &args.connect, args.serve) {
             (Some(path), _, _) => Sink::File(path.clone()),
             (None, Some(url), _) => Sink::Connect(url.clone()),
             (None, None, Some(port)) => Sink::Serve(port),
             (None, None, None) if args.no_record => return Ok(Self::none()),
-            (None, None, None) => Sink::File(format!("{}.rrd", scenario.name()).into()),
+            (None, None, None) => Sink::File(format!("{title}.rrd").into()),
         };
-        let recorder = open(sink.clone(), scenario.name(), args.sensing, robots, scripts)?;
+        let models = trial.models()?;
+        let recorder = Recorder::new(sink.clone(), title, &trial.views(&models))?;
         if let Sink::Serve(port) = sink {
             terminal::note(format_args!("watch it at {}", page_url(port)));
         }
@@ -49,24 +41,15 @@ impl Recording {
         Recording { recorder: None, sink: None }
     }
 
-    /// Adds a step of a robot.
-    pub fn add(&mut self, robot: usize, played: &PlaybackStep) -> anyhow::Result<()> {
-        let Some(recorder) = &mut self.recorder else {
-            return Ok(());
-        };
-        let mut log = || {
-            if let Some(frame) = &played.frame {
-                recorder.frame(robot, frame)?;
-            }
-            played.events.iter().try_for_each(|event| recorder.event(robot, event))
-        };
-        let logged = log();
+    pub fn add(&mut self, robot: usize, played: &PlaybackStep) -> Result<()> {
+        let Some(recorder) = &mut self.recorder else { return Ok(()) };
+        let logged = recorder.step(robot, played.frame.as_ref(), &played.events);
         self.unless_the_viewer_is_gone(logged)
     }
 
     /// Handles an error: if a viewer disconnects, the playback continues; if a file cannot be written, the error is
     /// returned.
-    fn unless_the_viewer_is_gone(&mut self, logged: Result<(), RecordError>) -> anyhow::Result<()> {
+    fn unless_the_viewer_is_gone(&mut self, logged: Result<(), RecordError>) -> Result<()> {
         match logged {
             Err(error) if matches!(self.sink, Some(Sink::Connect(_))) => {
                 terminal::note(format_args!("warning: {error}; going on without a viewer"));
@@ -78,18 +61,12 @@ impl Recording {
     }
 
     /// Writes the clips of falls and closes the recording; a served recording is closed at Ctrl-C.
-    pub fn finish(
-        mut self,
-        args: &Args,
-        scenario: &Scenario,
-        robots: &[(String, Agent)],
-        scripts: &[Script],
-        traces: &[Trace],
-    ) -> anyhow::Result<()> {
-        for ((robot, script), trace) in robots.iter().zip(scripts).zip(traces) {
-            if let (Some(folder), Some(fall)) = (&args.on_fall, trace.fall()) {
-                let path = folder.join(format!("{}-{}-seed{}-fall.rrd", scenario.name(), robot.0, args.seed));
-                clip(&path, scenario.name(), robot, script, trace, fall.time_s)?;
+    pub fn finish(mut self, trial: &Trial<'_>, traces: &[Trace]) -> Result<()> {
+        let title = trial.scenario.name();
+        for (((name, _), script), trace) in trial.parts().zip(traces) {
+            if let (Some(folder), Some(fall)) = (&trial.args.on_fall, trace.fall()) {
+                let path = folder.join(format!("{title}-{name}-seed{}-fall.rrd", trial.seed));
+                record(&path, title, name, &script.scene, &trace.after(fall.time_s - CLIP_S))?;
                 terminal::note(format_args!("the fall is in {}", path.display()));
             }
         }
@@ -108,7 +85,7 @@ impl Recording {
     }
 }
 
-fn wait_for_interrupt() -> anyhow::Result<()> {
+fn wait_for_interrupt() -> Result<()> {
     let (interrupted, wait) = std::sync::mpsc::channel();
     ctrlc::set_handler(move || {
         // An error means that the program is ending anyway.
@@ -117,65 +94,4 @@ fn wait_for_interrupt() -> anyhow::Result<()> {
     .context("cannot catch Ctrl-C")?;
     terminal::note("serving until Ctrl-C");
     Ok(wait.recv()?)
-}
-
-fn open(
-    sink: Sink,
-    title: &str,
-    sensing: Sensing,
-    robots: &[(String, Agent)],
-    scripts: &[Script],
-) -> anyhow::Result<Recorder> {
-    let models = models(scripts)?;
-    let views = views(sensing, robots, scripts, &models);
-    Ok(Recorder::new(sink, title, &views)?)
-}
-
-/// Compiles the model of each robot for display.
-pub fn models(scripts: &[Script]) -> supple::mujoco::Result<Vec<Model>> {
-    scripts.iter().map(|script| script.scene.compile_visual()).collect()
-}
-
-/// Returns how each robot is drawn: in blue and orange if there are two.
-pub fn views<'a>(
-    sensing: Sensing,
-    robots: &'a [(String, Agent)],
-    scripts: &'a [Script],
-    models: &'a [Model],
-) -> Vec<RobotView<'a>> {
-    let tints = if robots.len() > 1 { vec![Some(BLUE), Some(ORANGE)] } else { vec![None] };
-    robots
-        .iter()
-        .zip(scripts)
-        .zip(models)
-        .zip(tints)
-        .map(|((((name, _), script), model), tint)| RobotView {
-            name,
-            model,
-            ground: &script.scene.ground,
-            tint,
-            estimates: sensing == Sensing::Estimated,
-        })
-        .collect()
-}
-
-fn clip(
-    path: &Path,
-    title: &str,
-    robot: &(String, Agent),
-    script: &Script,
-    trace: &Trace,
-    fall_s: f64,
-) -> anyhow::Result<()> {
-    let model = script.scene.compile_visual()?;
-    let view = RobotView {
-        name: &robot.0,
-        model: &model,
-        ground: &script.scene.ground,
-        tint: None,
-        estimates: trace.frames.iter().any(|frame| frame.sensed.is_some()),
-    };
-    let mut recorder = Recorder::new(Sink::File(path.to_owned()), title, &[view])?;
-    recorder.trace(0, &trace.after(fall_s - CLIP_S))?;
-    Ok(recorder.finish()?)
 }

@@ -3,20 +3,17 @@
 use std::ops::RangeInclusive;
 
 use serde_json::{Map, Value, json};
+use supple::policy::Agent;
 use supple::provenance::{git_revision, mujoco_version};
 use supple::scenario::catalog::Scenario;
-use supple::scenario::metrics::Metric;
+use supple::scenario::metrics::{Metric, by_name};
 
 use crate::output::undefined;
 
 /// The outcomes of one policy over all seeds.
-pub struct OfSeeds {
-    /// Name of the policy.
-    pub policy: String,
-    /// SHA-256 of the policy.
-    pub sha256: String,
-    /// Name or file of the robot.
-    pub robot: String,
+pub struct OfSeeds<'a> {
+    /// Name of the policy, and its agent.
+    pub played: &'a (String, Agent),
     /// Metrics of the scenario, for each seed.
     pub metrics: Vec<Vec<Metric>>,
 }
@@ -34,10 +31,7 @@ struct Spread {
 impl Spread {
     fn of(values: &[f64]) -> Option<Self> {
         let count = values.len();
-        let (mut least, mut largest) = (*values.first()?, *values.first()?);
-        for value in values {
-            (least, largest) = (least.min(*value), largest.max(*value));
-        }
+        let (least, largest) = (values.iter().copied().reduce(f64::min)?, values.iter().copied().reduce(f64::max)?);
         let mean = values.iter().sum::<f64>() / count as f64;
         let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
         let deviation = (count > 1).then(|| (squares / (count - 1) as f64).sqrt());
@@ -45,14 +39,14 @@ impl Spread {
     }
 }
 
-impl OfSeeds {
+impl OfSeeds<'_> {
     fn values(&self, index: usize) -> Vec<f64> {
         self.metrics.iter().filter_map(|metrics| metrics.get(index)?.value).collect()
     }
 }
 
 /// Formats a table with a column for each policy.
-pub fn summary(scenario: &Scenario, seeds: &RangeInclusive<u64>, runs: &[OfSeeds]) -> String {
+pub fn summary(scenario: &Scenario, seeds: &RangeInclusive<u64>, runs: &[OfSeeds<'_>]) -> String {
     let count = runs.first().map_or(0, |run| run.metrics.len());
     let (name, first_seed, last_seed) = (scenario.name(), seeds.start(), seeds.end());
     let mut text = if first_seed == last_seed {
@@ -62,13 +56,13 @@ pub fn summary(scenario: &Scenario, seeds: &RangeInclusive<u64>, runs: &[OfSeeds
             "{name}, seeds {first_seed} to {last_seed}: mean ± standard deviation (of how many, if not of all {count})\n"
         )
     };
-    let header: String = runs.iter().map(|run| format!("{:>30}", run.policy)).collect();
+    let header: String = runs.iter().map(|run| format!("{:>30}", run.played.0)).collect();
     text.push_str(&format!("{:28}{header}\n", ""));
     for (index, Metric { label, unit, .. }) in first(runs).iter().enumerate() {
         if runs.iter().all(|run| run.values(index).is_empty()) {
             continue;
         }
-        let cell = |run: &OfSeeds| {
+        let cell = |run: &OfSeeds<'_>| {
             let values = run.values(index);
             let Some(spread) = Spread::of(&values) else { return "-".to_owned() };
             if first(runs)[index].is_truth() {
@@ -81,13 +75,13 @@ pub fn summary(scenario: &Scenario, seeds: &RangeInclusive<u64>, runs: &[OfSeeds
         let cells: String = runs.iter().map(|run| format!("{:>30}", cell(run))).collect();
         text.push_str(&format!("  {label:26}{cells}\n"));
     }
-    runs.iter().for_each(|run| text.push_str(&undefined(&run.policy, run.metrics.iter().flatten())));
+    runs.iter().for_each(|run| text.push_str(&undefined(&run.played.0, run.metrics.iter().flatten())));
     text
 }
 
 /// Returns the results as one JSON object.
-pub fn to_json(scenario: &Scenario, seeds: &RangeInclusive<u64>, sensing: Value, runs: &[OfSeeds]) -> Value {
-    let metrics = |run: &OfSeeds| -> Map<String, Value> {
+pub fn to_json(scenario: &Scenario, seeds: &RangeInclusive<u64>, sensing: Value, runs: &[OfSeeds<'_>]) -> Value {
+    let metrics = |run: &OfSeeds<'_>| -> Map<String, Value> {
         let of = |(index, metric): (usize, &Metric)| {
             let of_seeds = || run.metrics.iter().filter_map(|metrics| metrics.get(index));
             let spread = Spread::of(&run.values(index));
@@ -104,9 +98,10 @@ pub fn to_json(scenario: &Scenario, seeds: &RangeInclusive<u64>, sensing: Value,
         };
         first(runs).iter().enumerate().map(of).collect()
     };
-    let run = |run: &OfSeeds| json!({ "policy": run.policy, "sha256": run.sha256, "robot": run.robot, "metrics": metrics(run) });
-    let units: Map<String, Value> =
-        first(runs).iter().map(|metric| (metric.name.to_owned(), json!(metric.unit))).collect();
+    let run = |run: &OfSeeds<'_>| {
+        let (name, agent) = run.played;
+        json!({ "policy": name, "sha256": agent.sha256, "robot": agent.config.robot.model, "metrics": metrics(run) })
+    };
     json!({
         "scenario": scenario.name(),
         "revision": git_revision(),
@@ -114,13 +109,13 @@ pub fn to_json(scenario: &Scenario, seeds: &RangeInclusive<u64>, sensing: Value,
         "seeds": [seeds.start(), seeds.end()],
         "sensing": sensing,
         "parameters": scenario,
-        "units": units,
+        "units": by_name(first(runs), |metric| json!(metric.unit)),
         "runs": runs.iter().map(run).collect::<Vec<_>>(),
     })
 }
 
 /// Returns the metrics of the first playback, which state the order.
-fn first(runs: &[OfSeeds]) -> &[Metric] {
+fn first<'a>(runs: &'a [OfSeeds<'_>]) -> &'a [Metric] {
     runs.first().and_then(|run| run.metrics.first()).map_or(&[], Vec::as_slice)
 }
 

@@ -13,10 +13,8 @@ use crate::output::{self, Outcome};
 pub fn measure(args: &Args, file: &Path) -> anyhow::Result<()> {
     output::check(args)?;
     let asked = [args.policy.is_some(), args.compare.is_some(), args.model.is_some(), args.params.is_some()];
-    anyhow::ensure!(
-        !asked.contains(&true),
-        "a session has its own policies and robots: measure it without naming others"
-    );
+    let problem = "a session has its own policies and robots: measure it without naming others";
+    anyhow::ensure!(!asked.contains(&true), problem);
     let drawn = [&args.record, &args.on_fall, &args.video].map(Option::is_some).contains(&true)
         || args.connect.is_some()
         || args.serve.is_some();

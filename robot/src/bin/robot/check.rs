@@ -2,14 +2,15 @@
 
 use std::path::PathBuf;
 
-use anyhow::Context;
+use anyhow::{Context, Result};
 use clap::Args;
 use supple::policy::shipped;
-use supple::scenario::metrics::Metric;
+use supple::scenario::metrics::{Metric, by_name};
 use supple::util::terminal;
 use supple::util::yaml;
 use supple_robot::check::{Columns, LogRows, Verdict, check};
 use supple_robot::lockstep::rehearse;
+use supple_robot::serve::{scenario, told};
 
 /// The command line of `robot check`.
 #[derive(Args, Debug)]
@@ -29,15 +30,13 @@ pub struct Check {
 }
 
 /// Checks a log; returns true if it fits.
-pub fn run(args: &Check) -> anyhow::Result<bool> {
+pub fn run(args: &Check) -> Result<bool> {
     let agent = shipped::find(&args.policy)?;
-    let columns = match &args.columns {
-        Some(path) => {
-            let text = yaml::Text::read(path).with_context(|| format!("cannot read {}", path.display()))?;
-            yaml::layered::<Columns>(&[text])?
-        }
-        None => Columns::default(),
-    };
+    let mut columns = Columns::default();
+    if let Some(path) = &args.columns {
+        let text = yaml::Text::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+        columns = yaml::layered(&[text])?;
+    }
     let verdict = check(&LogRows::read(&args.log, &columns)?, &agent, args.latency_s)?;
     let Verdict { at_first_rad, at_last_rad, findings } = &verdict;
     terminal::print(format_args!("replayed and sent joint targets differ by {at_first_rad:.4} rad\n"))?;
@@ -80,14 +79,13 @@ pub struct Rehearse {
 }
 
 /// Rehearses, and prints the scenario's metrics.
-pub fn run_rehearsal(args: &Rehearse) -> anyhow::Result<()> {
+pub fn run_rehearsal(args: &Rehearse) -> Result<()> {
     let agent = shipped::find(&args.policy)?;
     let compliance = agent.resolve_compliance(None, args.compliance).with_context(|| args.policy.clone())?;
-    let scenario = crate::serve::scenario(&args.scenario, &args.set)?;
+    let scenario = scenario(&args.scenario, &args.set)?;
     let rehearsal = rehearse(&agent, &scenario, args.seed, compliance, args.physics_hz)?;
     if args.json {
-        let metrics: serde_json::Map<String, serde_json::Value> =
-            rehearsal.metrics.iter().map(|metric| (metric.name.to_owned(), metric.to_json())).collect();
+        let metrics = by_name(&rehearsal.metrics, Metric::to_json);
         let object = serde_json::json!({
             "scenario": scenario.name(), "seed": args.seed, "metrics": metrics, "events": rehearsal.events,
             "complaints": rehearsal.complaints, "notes": rehearsal.notes,
@@ -95,13 +93,5 @@ pub fn run_rehearsal(args: &Rehearse) -> anyhow::Result<()> {
         return Ok(terminal::print(format_args!("{object}\n"))?);
     }
     rehearsal.notes.iter().try_for_each(|note| terminal::print(format_args!("  {note}\n")))?;
-    for Metric { label, value, unit, .. } in &rehearsal.metrics {
-        if let Some(value) = value {
-            terminal::print(format_args!("  {label:26} {value:.3} {unit}\n"))?;
-        }
-    }
-    for event in &rehearsal.events {
-        terminal::print(format_args!("  {:6.2} s  {}\n", event.time_s, event.text))?;
-    }
-    Ok(())
+    Ok(terminal::print(told(&rehearsal.metrics, &rehearsal.events))?)
 }

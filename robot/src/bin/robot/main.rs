@@ -2,16 +2,16 @@
 
 mod check;
 mod run;
-mod serve;
 
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use anyhow::Context;
-use clap::{Args, Parser, Subcommand};
+use anyhow::{Context, Result};
+use clap::{Parser, Subcommand};
 use supple::util::terminal;
-use supple_robot::dds::{NodeError, Place};
+use supple_robot::bridge;
+use supple_robot::serve::{Settings, play};
 
 /// Bring policies onto a Go2, or be a simulated Go2 for any controller.
 #[derive(Parser, Debug)]
@@ -28,12 +28,12 @@ enum What {
     /// Publishes rt/lowstate at 500 Hz and obeys rt/lowcmd, in real time. Without a scenario, the robot is on the plane until Ctrl-C.
     /// With one, a simulated person with the remote presses START for the client to stand up and A for its policy to begin, when
     /// the scenario begins too, and keeps the sticks at the scenario's command.
-    Serve(serve::Serve),
+    Serve(Settings),
     /// Bring a policy onto the robot
     ///
     /// The robot lies at first. Orders come from keys, from lines of JSON on standard input or from UDP, and from the robot's own
     /// remote: START stands up, A starts the policy, X lies down, SELECT or L2 with B damps at once.
-    Run(run::Run),
+    Run(bridge::Settings),
     /// Play both without a network
     ///
     /// Plays what `run` and `serve` would do together, as fast as the machine, with the same numbers each time.
@@ -45,33 +45,20 @@ enum What {
     Check(check::Check),
 }
 
-/// The place in the network.
-#[derive(Args, Debug)]
-#[command(next_help_heading = "Network")]
-struct Network {
-    /// Network interface, by name or address; nothing is sent on any other
-    #[arg(long, value_name = "NAME|ADDRESS", default_value = "lo")]
-    interface: String,
-    /// DDS domain: 0 for a Go2; simulators use 1
-    #[arg(long, value_name = "N", default_value_t = 1)]
-    domain: u16,
-    /// Address to announce to, for networks without multicast; may be repeated [default: itself, on a loopback interface]
-    #[arg(long, value_name = "ADDRESS")]
-    peer: Vec<std::net::Ipv4Addr>,
-}
-
-impl Network {
-    fn place(&self) -> Result<Place, NodeError> {
-        Place::new(&self.interface, self.domain, self.peer.clone())
-    }
-}
-
 /// Returns a flag that Ctrl-C and termination set.
-fn stop_flag() -> anyhow::Result<Arc<AtomicBool>> {
+fn stop_flag() -> Result<Arc<AtomicBool>> {
     let stop = Arc::new(AtomicBool::new(false));
     let set = Arc::clone(&stop);
     ctrlc::set_handler(move || set.store(true, Ordering::Relaxed)).context("cannot catch Ctrl-C")?;
     Ok(stop)
+}
+
+/// Serves until the scenario ends or Ctrl-C.
+fn serve(settings: &Settings) -> Result<()> {
+    let stop = stop_flag()?;
+    let summary = play(settings, &stop)?;
+    let told = if settings.json { format!("{}\n", summary.to_json()) } else { summary.text() };
+    Ok(terminal::print(told)?)
 }
 
 fn main() -> ExitCode {
@@ -79,7 +66,7 @@ fn main() -> ExitCode {
     let Program { what } = Program::parse();
     let mut fits = true;
     let code = terminal::conclude(match what {
-        What::Serve(args) => serve::run(&args),
+        What::Serve(settings) => serve(&settings),
         What::Run(args) => run::run(&args),
         What::Rehearse(args) => check::run_rehearsal(&args),
         What::Check(args) => check::run(&args).map(|verdict| fits = verdict),

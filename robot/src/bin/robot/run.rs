@@ -2,80 +2,31 @@
 
 use std::io::{BufRead, IsTerminal, Read};
 use std::net::{Ipv4Addr, UdpSocket};
-use std::path::PathBuf;
 use std::sync::mpsc::{Sender, channel};
 use std::time::{Duration, Instant};
 
-use anyhow::Context;
-use clap::Args;
+use anyhow::{Context, Result};
 use rustix::termios::{LocalModes, OptionalActions, SpecialCodeIndex, Termios, tcgetattr, tcsetattr};
 use supple::policy::shipped;
 use supple::task::Command;
 use supple::util::terminal;
-use supple_robot::bridge::log::ROWS;
-use supple_robot::bridge::orders::{KEYS, Order};
-use supple_robot::bridge::safety::Limits;
-use supple_robot::bridge::{Settings, drive};
-use supple_robot::remote::FullSticks;
+use supple_robot::FullSticks;
+use supple_robot::bridge::{KEYS, Order, Report, Settings, drive};
 
-use crate::{Network, stop_flag};
-
-/// The command line.
-#[derive(Args, Debug)]
-pub struct Run {
-    /// Policy file, run folder, YAML file of an external policy, or name of a shipped policy of the Go2; with @C behind it, it has the
-    /// commanded compliance C (m/s/N)
-    #[arg(value_name = "FILE|NAME[@C]", default_value = "go2/real")]
-    policy: String,
-    /// Commanded compliance (m/s/N) [default: the policy's own]
-    #[arg(long, value_name = "C")]
-    compliance: Option<f64>,
-    /// Commanded velocity at first: forward (m/s), left (m/s), turning (rad/s)
-    #[arg(long, value_name = "V,V,W", value_delimiter = ',', default_values_t = [0.0, 0.0, 0.0],
-          allow_hyphen_values = true)]
-    velocity: Vec<f64>,
-    /// Delay of the joint targets (s) [default: that of the policy's training]
-    #[arg(long, value_name = "S")]
-    latency_s: Option<f64>,
-    /// Do not release the robot's own controller first, for simulators without motion_switcher
-    #[arg(long)]
-    no_release: bool,
-    /// Send nothing, and show what would be sent
-    #[arg(long)]
-    dry_run: bool,
-    /// Take orders as JSON lines from UDP on this port of this machine; the velocity becomes 0 half a second after the last
-    #[arg(long, value_name = "PORT")]
-    udp: Option<u16>,
-    /// Log of states and commands; its older half is FILE.old
-    #[arg(long, value_name = "FILE", default_value = "robot-log.csv")]
-    log: PathBuf,
-    /// Print one JSON object on stdout at the end
-    #[arg(long)]
-    json: bool,
-    #[command(flatten)]
-    network: Network,
-}
+use crate::stop_flag;
 
 /// Runs until a key or Ctrl-C. Where the orders on standard input end, as where the program that gives them has died, the robot stops
 /// walking.
-pub fn run(args: &Run) -> anyhow::Result<()> {
-    let agent = shipped::find(&args.policy)?;
-    let compliance = agent.resolve_compliance(None, args.compliance).with_context(|| args.policy.clone())?;
-    let [forward, left, yaw] = args.velocity[..] else { anyhow::bail!("--velocity: expected three numbers") };
+pub fn run(settings: &Settings) -> Result<()> {
+    let agent = shipped::find(&settings.policy)?;
+    let compliance = agent.resolve_compliance(None, settings.compliance).with_context(|| settings.policy.clone())?;
+    let [forward, left, yaw] = settings.velocity[..] else { anyhow::bail!("--velocity: expected three numbers") };
     let range = FullSticks::new(&agent.config.command);
     range.check([forward, left, yaw]).map_err(|error| anyhow::anyhow!("--velocity: {error}"))?;
-    let settings = Settings {
-        place: args.network.place()?,
-        limits: Limits::default(),
-        latency_s: args.latency_s,
-        command: Command { compliance, ..Command::velocity(forward, left, yaw) },
-        dry_run: args.dry_run,
-        release: !args.no_release,
-        log: (args.log.clone(), ROWS),
-    };
+    let command = Command { compliance, ..Command::velocity(forward, left, yaw) };
     let stop = stop_flag()?;
     let (sender, orders) = channel();
-    if let Some(port) = args.udp {
+    if let Some(port) = settings.udp {
         let socket =
             UdpSocket::bind((Ipv4Addr::LOCALHOST, port)).with_context(|| format!("cannot open UDP port {port}"))?;
         listen(socket, sender.clone(), range)?;
@@ -88,30 +39,22 @@ pub fn run(args: &Run) -> anyhow::Result<()> {
         }
         None => drop(std::thread::spawn(move || orders_of_stdin(std::io::stdin().lock(), &sender, &range))),
     }
-    let report = drive(&settings, &agent, &orders, &stop);
+    let report = drive(settings, &agent, command, &orders, &stop);
     drop(raw);
     let report = report?;
-    if args.json {
+    let log = settings.log.display();
+    if settings.json {
         terminal::print(format_args!("{}\n", serde_json::to_string(&report)?))?;
     } else {
+        let Report { states, ignored, lost, commands, resent, .. } = report;
+        let [median, p99] = [report.latency_median_ms, report.latency_p99_ms];
         terminal::note(format_args!(
-            "{} states, {} lost, {} ignored; {} commands, {} sent again; state to command: median {:.2} ms, 99 % {:.2} ms; \
-             {:.2} % of intervals within 4 ms; log: {}",
-            report.states,
-            report.lost,
-            report.ignored,
-            report.commands,
-            report.resent,
-            report.latency_median_ms,
-            report.latency_p99_ms,
-            report.intervals_within_4_ms_percent,
-            args.log.display()
+            "{states} states, {lost} lost, {ignored} ignored; {commands} commands, {resent} sent again; state to command: median \
+             {median:.2} ms, 99 % {p99:.2} ms; {:.2} % of intervals within 4 ms; log: {log}",
+            report.intervals_within_4_ms_percent
         ));
     }
-    match report.log_error {
-        Some(error) => anyhow::bail!("cannot write the log {}: {error}", args.log.display()),
-        None => Ok(()),
-    }
+    report.log_error.map_or(Ok(()), |error| Err(anyhow::anyhow!("cannot write the log {log}: {error}")))
 }
 
 /// Reads lines of JSON to their end; returns true if one of them was an order. What is no text is no order.
@@ -139,7 +82,7 @@ fn orders_of_stdin(input: impl BufRead, sender: &Sender<Order>, range: &FullStic
 }
 
 /// Reads datagrams of JSON lines, and stops the robot where no order follows an order in time.
-fn listen(socket: UdpSocket, sender: Sender<Order>, range: FullSticks) -> anyhow::Result<()> {
+fn listen(socket: UdpSocket, sender: Sender<Order>, range: FullSticks) -> Result<()> {
     socket.set_read_timeout(Some(UDP_SILENCE / 5))?;
     std::thread::spawn(move || {
         let (mut buffer, mut last_order): ([u8; 4096], Option<Instant>) = ([0; 4096], None);
@@ -159,10 +102,9 @@ fn listen(socket: UdpSocket, sender: Sender<Order>, range: FullSticks) -> anyhow
 }
 
 fn keys(sender: &Sender<Order>) {
-    for key in std::io::stdin().lock().bytes().map_while(Result::ok) {
-        if let Some(order) = Order::from_key(key) {
-            let _ = sender.send(order);
-        }
+    let keys = std::io::stdin().lock().bytes().map_while(Result::ok);
+    for order in keys.filter_map(Order::from_key) {
+        let _ = sender.send(order);
     }
 }
 
@@ -203,7 +145,7 @@ impl Drop for Raw {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use supple_robot::bridge::phase::Wish;
+    use supple_robot::bridge::Wish;
 
     const RANGE: FullSticks = FullSticks([1.0, 0.5, 0.5]);
 
