@@ -27,7 +27,7 @@ pub use error::{BufferKind, Error, Result, StateKind};
 pub use library::library_file;
 pub use model::{Actuator, Geom, GeomContact, GeomShape, Inertial, Model, Object};
 pub use render::{Camera, LARGEST_PICTURE, MOST_MARKS, Mark, MarkShape, Renderer};
-pub use sizes::{SizeError, check_sizes};
+pub(crate) use sizes::{SizeError, check_sizes};
 
 use std::ffi::CStr;
 use std::sync::OnceLock;
