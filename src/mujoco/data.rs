@@ -45,9 +45,15 @@ impl Drop for Data {
     }
 }
 
-/// The fields of mjData as slices.
+/// The model, the fields of mjData as slices, and the parameters of the model that an episode may change.
 impl Data {
-    getters! {
+    methods! {
+        /// The model.
+        fn model(&self) -> &Model = &self.model;
+        /// Simulation time \[s\].
+        fn time_s(&self) -> f64 = self.raw().time;
+        /// Number of contact points.
+        fn contact_count(&self) -> usize = self.raw().ncon as usize;
         /// Generalised positions, shape (nq). A free joint's are position (world) \[m\] and quaternion (w, x, y, z).
         fn positions(&self) -> &[f64] = self.slice(self.raw().qpos, self.model.nq());
         /// [`Data::positions`], writable.
@@ -94,6 +100,18 @@ impl Data {
         fn tendon_lengths(&self) -> &[f64] = self.slice(self.raw().ten_length, self.model.count(Object::Tendon));
         /// Rates of the lengths of tendons as of the last first half-step, shape (ntendon). [m/s]
         fn tendon_velocities(&self) -> &[f64] = self.slice(self.raw().ten_velocity, self.model.count(Object::Tendon));
+        /// Sets gravity [m/s²], world frame: see [`Model::set_gravity`].
+        fn set_gravity(&mut self, gravity: [f64; 3]) = self.model.set_gravity(gravity);
+        /// Sets the sliding friction coefficient of a geometry: see [`Model::set_sliding_friction`].
+        fn set_sliding_friction(&mut self, geom: usize, friction: f64) = self.model.set_sliding_friction(geom, friction);
+        /// Gives a body another mass and centre of mass: see [`Model::set_inertial`].
+        fn set_inertial(&mut self, body: usize, nominal: &Inertial, mass_kg: f64, offset_m: [f64; 3]) -> Result<()> =
+            self.model.set_inertial(body, nominal, mass_kg, offset_m);
+        /// Sets the losses of a hinge: see [`Model::set_losses`].
+        fn set_losses(&mut self, joint: usize, friction: f64, damping: f64) =
+            self.model.set_losses(joint, friction, damping);
+        /// Sets the maximum length of a tendon \[m\]: see [`Model::set_longest_tendon`].
+        fn set_longest_tendon(&mut self, tendon: usize, length_m: f64) = self.model.set_longest_tendon(tendon, length_m);
     }
 
     /// The first numbers of a field of this data.
@@ -130,51 +148,6 @@ impl Data {
         self.model.bytes() + raw.nbuffer as usize + unsafe { sys::supple_working_bytes(raw) } as usize
     }
 
-    /// Returns the model.
-    pub fn model(&self) -> &Model {
-        &self.model
-    }
-
-    /// Sets gravity [m/s²], world frame; see [`Model::set_gravity`].
-    pub fn set_gravity(&mut self, gravity: [f64; 3]) {
-        self.model.set_gravity(gravity);
-    }
-
-    /// Sets the sliding friction coefficient of a geometry; see [`Model::set_sliding_friction`].
-    ///
-    /// # Panics
-    /// There is no geometry of this id.
-    pub fn set_sliding_friction(&mut self, geom: usize, friction: f64) {
-        self.model.set_sliding_friction(geom, friction);
-    }
-
-    /// Gives a body another mass and centre of mass; see [`Model::set_inertial`].
-    ///
-    /// # Errors
-    /// Less mass than nothing would remain.
-    ///
-    /// # Panics
-    /// There is no body of this id.
-    pub fn set_inertial(&mut self, body: usize, nominal: &Inertial, mass_kg: f64, offset_m: [f64; 3]) -> Result<()> {
-        self.model.set_inertial(body, nominal, mass_kg, offset_m)
-    }
-
-    /// Sets the losses of a hinge; see [`Model::set_losses`].
-    ///
-    /// # Panics
-    /// There is no joint of this id.
-    pub fn set_losses(&mut self, joint: usize, friction: f64, damping: f64) {
-        self.model.set_losses(joint, friction, damping);
-    }
-
-    /// Sets the maximum length of a tendon \[m\]; see [`Model::set_longest_tendon`].
-    ///
-    /// # Panics
-    /// There is no tendon of this id.
-    pub fn set_longest_tendon(&mut self, tendon: usize, length_m: f64) {
-        self.model.set_longest_tendon(tendon, length_m);
-    }
-
     /// Shrinks the contact buffer to `contacts` points.
     #[cfg(test)]
     pub(crate) fn limit_contacts(&mut self, contacts: i32) {
@@ -188,11 +161,6 @@ impl Data {
     fn raw(&self) -> &sys::mjData {
         // SAFETY: the pointer is valid as long as `self`.
         unsafe { self.raw.as_ref() }
-    }
-
-    /// Returns the simulation time \[s\].
-    pub fn time_s(&self) -> f64 {
-        self.raw().time
     }
 
     /// Sets the simulation time \[s\].
@@ -289,11 +257,6 @@ impl Data {
             return Err(Error::BufferFull { buffer: BufferKind::Contacts, size: self.model.nconmax() });
         }
         Err(Error::BufferFull { buffer: BufferKind::Constraints, size: self.model.njmax() })
-    }
-
-    /// Returns the number of contact points.
-    pub fn contact_count(&self) -> usize {
-        self.raw().ncon as usize
     }
 
     /// Iterates over the contact points of the last [`Data::step1`] that take part in the dynamics.

@@ -175,9 +175,9 @@ impl Drop for Model {
     }
 }
 
-/// Sizes, whole arrays, and the values of single elements. The length of an array is the size that mjmodel.h documents for it.
+/// Sizes, options, whole arrays, and the values of single elements. The length of an array is the size that mjmodel.h documents for it.
 impl Model {
-    getters! {
+    methods! {
         /// Number of generalised positions.
         fn nq(&self) -> usize = self.raw().nq as usize;
         /// Number of generalised velocities.
@@ -240,6 +240,21 @@ impl Model {
         fn site_size(&self, id: usize) -> [f64; 3] = self.row(self.raw().site_size, self.raw().nsite, id);
         /// Where a site is, in its body's frame \[m\].
         fn site_position(&self, id: usize) -> [f64; 3] = self.row(self.raw().site_pos, self.raw().nsite, id);
+        /// True if a joint is a hinge.
+        fn is_hinge(&self, id: usize) -> bool =
+            self.slice(self.raw().jnt_type, self.raw().njnt)[id] == sys::mjJNT_HINGE as i32;
+        /// True if a joint is a free joint, which leaves its body free in space.
+        fn is_free(&self, id: usize) -> bool =
+            self.slice(self.raw().jnt_type, self.raw().njnt)[id] == sys::mjJNT_FREE as i32;
+        /// Index of a body among the mocap bodies; `None` if it is none.
+        fn mocap_index(&self, id: usize) -> Option<usize> =
+            usize::try_from(self.slice(self.raw().body_mocapid, self.raw().nbody)[id]).ok();
+        /// Physics step \[s\].
+        fn timestep_s(&self) -> f64 = self.raw().opt.timestep;
+        /// Gravity [m/s²], world frame.
+        fn gravity(&self) -> [f64; 3] = self.raw().opt.gravity;
+        /// Sets gravity [m/s²], world frame. A tilted gravity is a slope.
+        fn set_gravity(&mut self, gravity: [f64; 3]) = self.raw_mut().opt.gravity = gravity;
     }
 }
 
@@ -368,11 +383,6 @@ impl Model {
         unsafe { CStr::from_ptr(name) }.to_str().unwrap_or("")
     }
 
-    /// Returns the physics step \[s\].
-    pub fn timestep_s(&self) -> f64 {
-        self.raw().opt.timestep
-    }
-
     /// Returns true if friction cones are elliptic, false if they are pyramids.
     pub(crate) fn has_elliptic_cones(&self) -> bool {
         self.raw().opt.cone == sys::mjCONE_ELLIPTIC as i32
@@ -382,16 +392,6 @@ impl Model {
     pub(crate) fn collide_pairs_only(&mut self) {
         // SAFETY: the model is valid and `self` is borrowed mutably.
         unsafe { sys::supple_collide_pairs_only(self.raw_mut()) };
-    }
-
-    /// Returns gravity [m/s²], world frame.
-    pub fn gravity(&self) -> [f64; 3] {
-        self.raw().opt.gravity
-    }
-
-    /// Sets gravity [m/s²], world frame. A tilted gravity is a slope.
-    pub fn set_gravity(&mut self, gravity: [f64; 3]) {
-        self.raw_mut().opt.gravity = gravity;
     }
 
     /// Sets the sliding friction coefficient of a geometry and of the contact pairs that name it, which have their own
@@ -446,14 +446,8 @@ impl Model {
     /// # Panics
     /// There is no body of this id.
     pub fn add_mass(&mut self, body: usize, mass_kg: f64) -> Result<()> {
-        let own_kg = self.body_mass()[body];
-        let factor = 1.0 + mass_kg / own_kg;
-        if !(factor > 0.0 && factor.is_finite()) {
-            let what = format!("mass to add to {}, of {own_kg:.2} kg", self.name(Object::Body, body));
-            return Err(Error::Input { what, found: format!("{mass_kg} kg") });
-        }
-        let parent = |body: usize| self.slice(self.raw().body_parentid, self.raw().nbody)[body] as usize;
-        let carriers: Vec<usize> = std::iter::successors(Some(body), |it| (*it > 0).then(|| parent(*it))).collect();
+        let factor = self.mass_factor(body, self.body_mass()[body], mass_kg)?;
+        let carriers: Vec<usize> = self.carriers(body).collect();
         let raw = self.raw_mut();
         // SAFETY: the arrays hold one mass, one subtree's mass and three moments of inertia for each body.
         unsafe {
@@ -464,20 +458,31 @@ impl Model {
         Ok(())
     }
 
+    /// Returns the factor of a body's mass and inertia if `more_kg` is added to `own_kg`.
+    fn mass_factor(&self, body: usize, own_kg: f64, more_kg: f64) -> Result<f64> {
+        let factor = 1.0 + more_kg / own_kg;
+        let what = || format!("mass to add to {}, of {own_kg:.2} kg", self.name(Object::Body, body));
+        let refused = || Error::Input { what: what(), found: format!("{more_kg} kg") };
+        Some(factor).filter(|factor| *factor > 0.0 && factor.is_finite()).ok_or_else(refused)
+    }
+
+    /// Iterates over a body and those that carry it, up to the world.
+    fn carriers(&self, body: usize) -> impl Iterator<Item = usize> {
+        std::iter::successors(Some(body), |it| (*it > 0).then(|| self.body_parent(*it)))
+    }
+
     /// Returns the mass of a body and of the subtrees that it belongs to.
     ///
     /// # Panics
     /// There is no body of this id.
     pub fn inertial(&self, body: usize) -> Inertial {
         let raw = self.raw();
-        let parent = |body: usize| self.slice(raw.body_parentid, raw.nbody)[body] as usize;
-        let carriers = std::iter::successors(Some(body), |it| (*it > 0).then(|| parent(*it)));
         let subtrees = self.slice(raw.body_subtreemass, raw.nbody);
         Inertial {
             mass_kg: self.body_mass()[body],
             moments: self.body_inertia(body),
             centre_m: self.body_centre_of_mass(body),
-            subtrees_kg: carriers.map(|carrier| (carrier, subtrees[carrier])).collect(),
+            subtrees_kg: self.carriers(body).map(|carrier| (carrier, subtrees[carrier])).collect(),
         }
     }
 
@@ -490,11 +495,7 @@ impl Model {
     /// # Panics
     /// There is no body of this id.
     pub fn set_inertial(&mut self, body: usize, nominal: &Inertial, mass_kg: f64, offset_m: [f64; 3]) -> Result<()> {
-        let factor = 1.0 + mass_kg / nominal.mass_kg;
-        if !(factor > 0.0 && factor.is_finite()) {
-            let what = format!("mass to add to {}, of {:.2} kg", self.name(Object::Body, body), nominal.mass_kg);
-            return Err(Error::Input { what, found: format!("{mass_kg} kg") });
-        }
+        let factor = self.mass_factor(body, nominal.mass_kg, mass_kg)?;
         assert!(body < self.count(Object::Body), "body {body} out of range");
         let geoms: Vec<usize> = (0..self.count(Object::Geom)).filter(|geom| self.geom_body(*geom) == body).collect();
         let sites: Vec<usize> = (0..self.count(Object::Site)).filter(|site| self.site_body(*site) == body).collect();
@@ -525,21 +526,6 @@ impl Model {
         assert!(tendon < self.count(Object::Tendon), "tendon {tendon} out of range");
         // SAFETY: tendon_range holds 2 numbers for each tendon; the id was checked.
         unsafe { *self.raw_mut().tendon_range.add(2 * tendon + 1) = length_m };
-    }
-
-    /// Returns the index of a body among the mocap bodies; `None` if it is none.
-    pub fn mocap_index(&self, body: usize) -> Option<usize> {
-        usize::try_from(self.slice(self.raw().body_mocapid, self.raw().nbody)[body]).ok()
-    }
-
-    /// Returns true if a joint is a hinge.
-    pub fn is_hinge(&self, joint: usize) -> bool {
-        self.slice(self.raw().jnt_type, self.raw().njnt)[joint] == sys::mjJNT_HINGE as i32
-    }
-
-    /// Returns true if a joint is a free joint, which leaves its body free in space.
-    pub fn is_free(&self, joint: usize) -> bool {
-        self.slice(self.raw().jnt_type, self.raw().njnt)[joint] == sys::mjJNT_FREE as i32
     }
 
     /// Returns the effect of an actuator.

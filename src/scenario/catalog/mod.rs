@@ -5,6 +5,31 @@ files in `configs/scenarios/`, by the same names; the files contain the defaults
 experiments. Each scenario has its own file here: its parameters, their effect on the script, and its metrics.
 */
 
+/// Declares the parameters of a scenario: flags of the command line and keys of YAML files, in addition to those of every scenario.
+/// Behind `=` is the range of a number and its text in errors; ranges that depend on other parameters are checked in `prepare`.
+macro_rules! parameters {
+    ($(#[$doc:meta])* $Name:ident {
+        $($(#[$flag:meta])* $key:ident: $type:ty $(= $low:literal to $high:literal, $expected:literal)?;)*
+    }) => {
+        $(#[$doc])*
+        #[derive(clap::Args, Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+        pub struct $Name {
+            /// The parameters that every scenario has.
+            #[command(flatten)]
+            #[serde(flatten)]
+            pub task: Task,
+            $($(#[$flag])* #[arg(long)] pub $key: $type,)*
+        }
+
+        impl $Name {
+            fn check_ranges(&self) -> Result<(), super::ParameterError> {
+                $($(super::in_range(stringify!($key).replace('_', "-"), self.$key.into(), $low, $high, $expected)?;)?)*
+                Ok(())
+            }
+        }
+    };
+}
+
 mod ball_pit;
 mod free_box;
 mod lead;
@@ -18,6 +43,7 @@ mod terrain;
 mod walk;
 mod wall;
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use clap::{Args, Subcommand};
@@ -178,7 +204,7 @@ const AFTER_FALL_S: f64 = 1.0;
 #[error("--{name} is {found}, expected {expected}")]
 pub struct ParameterError {
     /// Name of the flag, such as `push-m-s`.
-    pub name: &'static str,
+    pub name: Cow<'static, str>,
     /// The value that was found.
     pub found: String,
     /// The valid range.
@@ -232,9 +258,7 @@ fn is_zero(value: &f64) -> bool {
 /// Behaviour of a scenario's parameters; the defaults are an undisturbed walk on a plane.
 trait Parameters {
     /// Checks the parameters and adds the scenario's parts to the script.
-    fn prepare(&self, _: &mut Script, _seed: u64) -> Result<(), ParameterError> {
-        Ok(())
-    }
+    fn prepare(&self, script: &mut Script, seed: u64) -> Result<(), ParameterError>;
 
     /// Adds the metrics of this scenario to the common ones.
     fn metrics(&self, _: &Script, _: &Trace, _found: &mut Vec<Metric>) {}
@@ -376,11 +400,12 @@ fn no_turn(task: &Task) -> Result<(), ParameterError> {
 /// # Errors
 /// The number is out of range or not finite; the error names the parameter, the number and the range.
 pub fn in_range(
-    name: &'static str,
+    name: impl Into<Cow<'static, str>>,
     found: f64,
     low: f64,
     high: f64,
     expected: &'static str,
 ) -> Result<(), ParameterError> {
-    if (low..=high).contains(&found) { Ok(()) } else { Err(ParameterError { name, found: brief(found), expected }) }
+    let fits = (low..=high).contains(&found);
+    if fits { Ok(()) } else { Err(ParameterError { name: name.into(), found: brief(found), expected }) }
 }
