@@ -2,10 +2,11 @@
 
 use clap::{FromArgMatches, Subcommand};
 use supple::mujoco::Object;
+use supple::policy::Policy;
 use supple::scenario::catalog::{DEFAULTS, Scenario};
 use supple::scenario::estimation::Estimation;
 use supple::scenario::trace::{DisturbanceMark, EventKind, Trace};
-use supple::scenario::{Playback, Sensing};
+use supple::scenario::{Playback, Script, Sensing};
 use supple::util::yaml::{Text, flat_parameters};
 
 use crate::support::standing_policy;
@@ -51,10 +52,11 @@ fn trace(scenario: &Scenario, seed: u64) -> Trace {
 fn trace_with(scenario: &Scenario, seed: u64, sensing: Sensing) -> Trace {
     let policy = standing_policy();
     let script = scenario.script(seed, &policy.provenance.config).unwrap();
-    let rollout = Playback::new(&script, &policy.provenance.config, Box::new(policy.inference().controller()))
-        .unwrap()
-        .with_bodies();
-    rollout.with_sensing(sensing, seed).unwrap().trace()
+    playback(&policy, &script).with_bodies().with_sensing(sensing, seed).unwrap().trace()
+}
+
+fn playback<'a>(policy: &'a Policy, script: &'a Script) -> Playback<'a> {
+    Playback::new(script, &policy.provenance.config, Box::new(policy.inference().controller())).unwrap()
 }
 
 /// Every scenario, cut short.
@@ -339,19 +341,16 @@ fn a_seed_is_a_scene_and_another_seed_another_one() {
 #[test]
 fn getting_past_an_obstacle_is_an_event_and_happens_once_from_each_start() {
     // Nothing to cross: the end of an empty field lies behind the robot at once when it is put there.
-    let mut script = scenario("rubble", &["--duration-s=0.5", "--blocks=0", "--mats=0"])
-        .script(0, &standing_policy().provenance.config)
-        .unwrap();
-    script.goal.as_mut().unwrap().ahead_m = -1.0;
     let policy = standing_policy();
-    let trace =
-        Playback::new(&script, &policy.provenance.config, Box::new(policy.inference().controller())).unwrap().trace();
+    let rubble = scenario("rubble", &["--duration-s=0.5", "--blocks=0", "--mats=0"]);
+    let mut script = rubble.script(0, &policy.provenance.config).unwrap();
+    script.goal.as_mut().unwrap().ahead_m = -1.0;
+    let trace = playback(&policy, &script).trace();
     let reached: Vec<_> = trace.events.iter().filter(|event| event.kind == EventKind::Success).collect();
     assert_eq!(reached.len(), 1);
     assert_eq!(reached[0].text, "got across the rubble");
     // Put back to its start, it gets there again.
-    let mut rollout =
-        Playback::new(&script, &policy.provenance.config, Box::new(policy.inference().controller())).unwrap();
+    let mut rollout = playback(&policy, &script);
     let successes = |rollout: &mut Playback| {
         let events = rollout.by_ref().take(5).flat_map(|played| played.events);
         events.filter(|event| event.kind == EventKind::Success).count()
@@ -367,8 +366,7 @@ fn crossed_field_ends_a_second_later() {
     let seconds = |name: &str, options: &[&str]| {
         let mut script = scenario(name, options).script(0, &policy.provenance.config).unwrap();
         script.goal.as_mut().unwrap().ahead_m = -10.0;
-        let controller = Box::new(policy.inference().controller());
-        let trace = Playback::new(&script, &policy.provenance.config, controller).unwrap().trace();
+        let trace = playback(&policy, &script).trace();
         assert!(trace.reached_goal(), "{name}");
         trace.frames.last().unwrap().time_s
     };
@@ -384,8 +382,7 @@ fn crossed_field_ends_a_second_later() {
 fn the_end_of_a_trace_has_all_that_comes_after_a_time_and_no_more() {
     let policy = standing_policy();
     let script = scenario("push", &["--duration-s=1", "--at-s=0.5"]).script(0, &policy.provenance.config).unwrap();
-    let trace =
-        Playback::new(&script, &policy.provenance.config, Box::new(policy.inference().controller())).unwrap().trace();
+    let trace = playback(&policy, &script).trace();
     assert_eq!(trace.after(-1.0), trace);
     let pushed_s = trace.events[0].time_s;
     let end = trace.after(pushed_s);
@@ -405,7 +402,6 @@ fn who_passes_beside_an_obstacle_has_not_crossed_it() {
     assert_eq!(goal.half_width_m, 1.2);
     // As if the robot had gone round.
     (goal.ahead_m, goal.half_width_m) = (-1.0, 0.0);
-    let trace =
-        Playback::new(&script, &policy.provenance.config, Box::new(policy.inference().controller())).unwrap().trace();
+    let trace = playback(&policy, &script).trace();
     assert!(!trace.reached_goal());
 }

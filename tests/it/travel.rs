@@ -12,7 +12,9 @@ use supple::scenario::trace::Trace;
 use supple::sim::Scene;
 
 use crate::scenarios;
-use crate::support::{broken_policy, complaint, example, repository, robot, run, standing_policy};
+use crate::support::{
+    broken_policy, complaint, example, refused, repository, robot, run, standing_policy, success, with_input,
+};
 
 fn walk(agent: &Agent, duration_s: f64) -> Trace {
     let task = Task { duration_s, ..defaults::<Walk>("walk").unwrap().task };
@@ -161,19 +163,7 @@ fn the_angles_of_a_robots_file_turn_nothing_else() {
 fn policy_run_answers_each_line_with_joint_targets() {
     let folder = tempfile::tempdir().unwrap();
     standing_policy().save(&folder.path().join("p.safetensors")).unwrap();
-    let ask = |text: &str| {
-        use std::io::Write;
-        let mut child = std::process::Command::new(env!("CARGO_BIN_EXE_policy"))
-            .args(["run", "p.safetensors"])
-            .current_dir(folder.path())
-            .stdin(std::process::Stdio::piped())
-            .stdout(std::process::Stdio::piped())
-            .stderr(std::process::Stdio::piped())
-            .spawn()
-            .unwrap();
-        child.stdin.take().unwrap().write_all(text.as_bytes()).unwrap();
-        child.wait_with_output().unwrap()
-    };
+    let ask = |text: &str| with_input("policy", folder.path(), &["run", "p.safetensors"], text.as_bytes());
     let line = serde_json::to_string(&vec![0.1; 83]).unwrap();
     let output = ask(&format!("{line}\n{line}\n"));
     let answers: Vec<Vec<f64>> =
@@ -207,8 +197,7 @@ fn external_policy_is_shown_verified_and_run() {
     let folder = tempfile::tempdir().unwrap();
     example(folder.path(), "rsl_rl");
     let program = |arguments: &[&str]| {
-        let output = run("policy", folder.path(), arguments);
-        assert!(output.status.success(), "{}", complaint(&output));
+        let output = success(run("policy", folder.path(), arguments));
         String::from_utf8(output.stdout).unwrap()
     };
     let shown = program(&["show", "rsl_rl.yaml"]);
@@ -225,11 +214,10 @@ fn external_policy_is_shown_verified_and_run() {
     // As the policy acts in a program.
     let agent = Agent::load(&folder.path().join("rsl_rl.yaml")).unwrap();
     let expected = agent.inference().joint_targets(&[0.5; 48], &mut InferenceBuffers::default());
-    let command = format!("echo '{:?}' | {} run rsl_rl.yaml", [0.5; 48], crate::support::program("policy"));
-    let output = std::process::Command::new("sh").args(["-c", &command]).current_dir(folder.path()).output().unwrap();
+    let observation = format!("{:?}\n", [0.5; 48]);
+    let output = with_input("policy", folder.path(), &["run", "rsl_rl.yaml"], observation.as_bytes());
     assert_eq!(serde_json::from_slice::<[f64; 12]>(&output.stdout).unwrap(), expected);
-    let output = run("policy", folder.path(), &["verify", "rsl_rl.yaml", "--samples", "5"]);
-    assert!(output.status.code() == Some(2) && complaint(&output).contains("--samples"), "{}", complaint(&output));
+    refused("policy", folder.path(), &["verify", "rsl_rl.yaml", "--samples", "5"], "--samples");
 }
 
 #[test]
@@ -241,7 +229,6 @@ fn nan_from_a_network_is_a_fault() {
     let fault = trace.fault().unwrap();
     assert!(fault.time_s == 0.0 && fault.text.contains("FR_hip is NaN"), "{fault:?}");
     for command in ["verify", "calibrate"] {
-        let output = run("policy", folder.path(), &[command, "broken.yaml"]);
-        assert!(output.status.code() == Some(2) && complaint(&output).contains("NaN"), "{}", complaint(&output));
+        refused("policy", folder.path(), &[command, "broken.yaml"], "NaN");
     }
 }
