@@ -22,7 +22,6 @@ const ROWS_OF_A_TASK: usize = 64;
 /// Times of an iteration on some threads, medians.
 #[derive(Debug, Serialize)]
 pub struct Iteration {
-    /// Threads.
     pub threads: usize,
     /// Samples collected and learnt from [1/s].
     pub samples_per_s: f64,
@@ -48,20 +47,14 @@ pub struct Scaling {
 /// Samples per second on more cores, by Amdahl's law.
 #[derive(Debug, Serialize)]
 pub struct Projection {
-    /// Cores.
     pub cores: usize,
-    /// Projected [1/s].
     pub samples_per_s: f64,
 }
 
-/// All of it.
 #[derive(Debug, Serialize)]
 pub struct Training {
-    /// Samples of an iteration.
     pub batch_size: usize,
-    /// On one thread.
     pub one_thread: Iteration,
-    /// On all threads.
     pub all_threads: Iteration,
     /// The whole iteration.
     pub whole: Scaling,
