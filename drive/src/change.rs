@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 use supple::mujoco;
 use supple::policy::AgentError;
-use supple::scenario::session::{AgentCache, AgentCacheError, LiveSession, SceneKind, Setup};
+use supple::scenario::session::{AgentCache, LiveSession, SceneKind, SessionError, Setup};
 use supple::util::terminal;
 
 use crate::message::{Built, Message, NewPolicy};
@@ -179,8 +179,7 @@ impl Builder {
             mujoco::release_memory();
             let result = change.build(setup, cache).map(Box::new).map_err(|error| {
                 let text = format!("{error:#}");
-                let is_harmless =
-                    matches!(error.downcast_ref(), Some(AgentCacheError::Agent(AgentError::Unknown { .. })));
+                let is_harmless = matches!(error.downcast_ref(), Some(SessionError::Agent(AgentError::Unknown { .. })));
                 if !is_shared || is_harmless {
                     return text;
                 }

@@ -8,7 +8,7 @@ use std::thread;
 use std::time::{Duration, SystemTime};
 
 use supple::policy::shipped;
-use supple::scenario::session::{AgentCache, AgentCacheError};
+use supple::scenario::session::{AgentCache, SessionError};
 use supple::util::{files, terminal};
 
 use crate::message::{Message, NewPolicy};
@@ -48,7 +48,7 @@ pub fn start(watched: Arc<Mutex<Vec<PathBuf>>>, to: SyncSender<Message>, is_shar
 }
 
 /// Returns the notice that pages show for a policy that cannot be read.
-fn told(error: &AgentCacheError, is_shared: bool) -> String {
+fn told(error: &SessionError, is_shared: bool) -> String {
     if !is_shared {
         return error.to_string();
     }

@@ -402,12 +402,12 @@ fn block_infos(layout: &Layout) -> Vec<BlockInfo> {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+pub(crate) mod tests {
     use super::*;
     use crate::policy::onnx::OnnxNetwork;
 
     /// A policy on the Go1 that was not trained.
-    pub(in crate::policy) fn untrained(network: &ActorCritic, config: Config) -> Policy {
+    pub(crate) fn untrained(network: &ActorCritic, config: Config) -> Policy {
         let layout = config.layout().unwrap();
         let provenance = Provenance {
             config_name: "compliant".into(),

@@ -9,16 +9,13 @@ use crate::sim::{Conditions, Parts, Sim, StepObserver};
 /// A [`ForceObserver`] with error-free sensors that feed it unless it gets [`Senses`]. As a [`StepObserver`] it takes the
 /// true state.
 #[derive(Debug)]
-pub struct ForceSense {
+pub(crate) struct ForceSense {
     observer: ForceObserver,
     exact: ExactSensors,
 }
 
 impl ForceSense {
     /// Starts in the present state.
-    ///
-    /// # Errors
-    /// MuJoCo cannot compile the robot alone.
     pub fn new(sim: &Sim, conditions: &Conditions) -> mujoco::Result<Self> {
         Ok(ForceSense { observer: ForceObserver::new(sim.robot())?, exact: ExactSensors::new(sim, conditions) })
     }
@@ -26,9 +23,6 @@ impl ForceSense {
     /// Updates the forces with a physics step; to be called from [`StepObserver::forces`], once for each step. `torques` are
     /// those of the motors in the step [N·m]. With `senses`, their last readings count, so call [`Senses::read`] first;
     /// without, the true state.
-    ///
-    /// # Errors
-    /// A reading is not finite, or MuJoCo fails; the forces are then in doubt.
     pub fn read(
         &mut self,
         data: &Data,
@@ -49,11 +43,6 @@ impl ForceSense {
     /// Returns the mean of the forces since the last call, as [`ForceObserver::take_mean`].
     pub fn take_mean(&mut self) -> ExternalForces {
         self.observer.take_mean()
-    }
-
-    /// The forces after the last physics step.
-    pub fn forces(&self) -> &ExternalForces {
-        self.observer.forces()
     }
 
     /// Starts again in the present state; to be called after the robot has been put elsewhere.

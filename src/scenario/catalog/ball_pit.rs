@@ -82,8 +82,4 @@ impl Parameters for BallPit {
     fn delay(&mut self, phase_s: f64) {
         self.distance_m += phase_s * self.task.forward_m_s;
     }
-
-    fn cost(&self) -> f64 {
-        100.0
-    }
 }

@@ -57,8 +57,7 @@ use super::metrics::{self, Decay, Metric};
 use crate::config::{Config, ConfigError};
 use crate::robot::GRAVITY_M_S2;
 use crate::scenario::trace::Trace;
-use crate::sim::Conditions;
-use crate::sim::Scene;
+use crate::sim::{Conditions, Scene};
 use crate::task::Command;
 use crate::util::files::FileError;
 use crate::util::numbers::brief;
@@ -78,9 +77,10 @@ pub use terrain::*;
 pub use walk::*;
 pub use wall::*;
 
-/// Defines [`Scenario`] and its defaults from the list of scenarios: text of the command line, name, and type of the parameters.
+/// Defines [`Scenario`] and its defaults from the list of scenarios: text of the command line, name, type of the parameters, and
+/// the cost of the simulation relative to the robot alone, if it differs.
 macro_rules! scenarios {
-    ($($text:literal, $name:literal => $Variant:ident($Parameters:ty);)*) => {
+    ($($text:literal, $name:literal => $Variant:ident($Parameters:ty) $(at $cost:literal)?;)*) => {
         /// Default parameters of every scenario: name and YAML text.
         pub const DEFAULTS: &[(&str, &str)] =
             &[$(($name, include_str!(concat!("../../../configs/scenarios/", $name, ".yaml")))),*];
@@ -127,6 +127,14 @@ macro_rules! scenarios {
                 }
             }
 
+            /// Returns the cost of a trial, in seconds of simulation of the robot alone, for progress bars.
+            pub fn cost(&self) -> f64 {
+                let relative = match self {
+                    $(Scenario::$Variant(_) => [$($cost,)? 1.0][0],)*
+                };
+                relative * self.task().duration_s
+            }
+
             fn parameters_mut(&mut self) -> &mut dyn Parameters {
                 match self {
                     $(Scenario::$Variant(it) => it,)*
@@ -142,13 +150,13 @@ scenarios! {
     "Pull the trunk with a constant force (E5)", "leash" => Leash(Leash);
     "Lead the robot by a leash (E14)", "lead" => Lead(Lead);
     "Walk into a soft wall (E14)", "wall" => Wall(Wall);
-    "Walk into a free box (E6)", "box" => Box(FreeBox);
-    "Cross a field of loose balls (E7)", "ball-pit" => BallPit(BallPit);
-    "Walk over Perlin terrain, steps or a slope (E8)", "terrain" => Terrain(UnevenGround);
-    "Pull the trunk with a weight over a pulley (E9)", "pulley" => Pulley(Pulley);
-    "Swing a ball on a string into the trunk (E10)", "pendulum" => Pendulum(Pendulum);
-    "Walk over wooden blocks and soft mats (E11)", "rubble" => Rubble(Rubble);
-    "Walk over hills of varied friction (E11)", "outdoor" => Outdoor(Outdoor);
+    "Walk into a free box (E6)", "box" => Box(FreeBox) at 3.5;
+    "Cross a field of loose balls (E7)", "ball-pit" => BallPit(BallPit) at 100.0;
+    "Walk over Perlin terrain, steps or a slope (E8)", "terrain" => Terrain(UnevenGround) at 4.0;
+    "Pull the trunk with a weight over a pulley (E9)", "pulley" => Pulley(Pulley) at 1.5;
+    "Swing a ball on a string into the trunk (E10)", "pendulum" => Pendulum(Pendulum) at 1.5;
+    "Walk over wooden blocks and soft mats (E11)", "rubble" => Rubble(Rubble) at 20.0;
+    "Walk over hills of varied friction (E11)", "outdoor" => Outdoor(Outdoor) at 4.0;
 }
 
 impl Scenario {
@@ -172,7 +180,7 @@ pub fn defaults<T: DeserializeOwned>(name: &str) -> Result<T, ConfigError> {
 }
 
 /// Returns the default parameters of a scenario, overridden by the given ones.
-fn with_parameters<T: DeserializeOwned>(scenario: &str, parameters: &str) -> Result<T, YamlError> {
+pub(super) fn with_parameters<T: DeserializeOwned>(scenario: &str, parameters: &str) -> Result<T, YamlError> {
     let defaults = DEFAULTS.iter().find(|(known, _)| *known == scenario).map_or("", |(_, text)| text);
     let texts = [Text::new(scenario, defaults), Text::new(scenario, parameters)];
     let [known, given] = [flat_parameters(&texts[0])?, flat_parameters(&texts[1])?];
@@ -220,6 +228,9 @@ pub enum ScriptError {
     /// The robot cannot be loaded.
     #[error(transparent)]
     Robot(#[from] FileError),
+    /// The default parameters of a scenario are invalid.
+    #[error(transparent)]
+    Defaults(#[from] YamlError),
 }
 
 /// The parameters that every scenario has.
@@ -265,19 +276,9 @@ trait Parameters {
 
     /// Delays the disturbance \[s\]; does nothing if there is none.
     fn delay(&mut self, _phase_s: f64) {}
-
-    /// Returns the cost of the simulation relative to the robot alone.
-    fn cost(&self) -> f64 {
-        1.0
-    }
 }
 
 impl Scenario {
-    /// Returns the cost of a trial, in seconds of simulation of the robot alone, for progress bars.
-    pub fn cost(&self) -> f64 {
-        self.parts().2.cost() * self.task().duration_s
-    }
-
     /// Returns the scenario with its disturbance delayed \[s\], to meet the gait at another phase.
     pub fn later(&self, phase_s: f64) -> Self {
         let mut scenario = self.clone();

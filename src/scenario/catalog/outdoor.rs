@@ -63,12 +63,8 @@ impl Parameters for Outdoor {
         let most = "the least friction to 10";
         in_range("largest-friction", self.largest_friction, self.least_friction, 10.0, most)?;
         if self.way_m() > HALF_SIZE_M[1] - MARGIN_M {
-            let found = self.task.duration_s.to_string();
-            return Err(ParameterError {
-                name: "duration-s".into(),
-                found,
-                expected: "a way of at most 57 m at the command",
-            });
+            let (found, expected) = (self.task.duration_s.to_string(), "a way of at most 57 m at the command");
+            return Err(ParameterError { name: "duration-s".into(), found, expected });
         }
         let half_size = [self.half_size_m(); 2];
         let mut hills = terrain::hills(half_size, self.steepest, self.frequency_per_m, seed);
@@ -85,10 +81,6 @@ impl Parameters for Outdoor {
         let steepest = metrics::largest(frames(), |frame| 100.0 * slope(&script.scene.ground, frame.position));
         found.push(metric("steepest_met_percent", "steepest slope on the way", steepest, "%"));
         found.push(metric("climb_m", "highest above lowest ground", climbed.map(|(high, low)| high + low), "m"));
-    }
-
-    fn cost(&self) -> f64 {
-        4.0
     }
 }
 

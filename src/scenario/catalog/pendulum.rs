@@ -156,10 +156,6 @@ impl Parameters for Pendulum {
         self.at_s += phase_s;
         self.task.duration_s += phase_s;
     }
-
-    fn cost(&self) -> f64 {
-        1.5
-    }
 }
 
 #[cfg(test)]

@@ -138,8 +138,4 @@ impl Parameters for Pulley {
         self.at_s += phase_s;
         self.task.duration_s += phase_s;
     }
-
-    fn cost(&self) -> f64 {
-        1.5
-    }
 }

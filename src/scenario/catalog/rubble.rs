@@ -180,10 +180,6 @@ impl Parameters for Rubble {
     fn delay(&mut self, phase_s: f64) {
         self.distance_m += phase_s * self.task.forward_m_s;
     }
-
-    fn cost(&self) -> f64 {
-        20.0
-    }
 }
 
 /// Formats a rotation about the up axis as MJCF's `quat`, because the unit of MJCF's angles depends on the robot's

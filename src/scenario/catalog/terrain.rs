@@ -50,12 +50,8 @@ impl Parameters for UnevenGround {
         self.check_ranges()?;
         let way = [self.task.forward_m_s, self.task.left_m_s].map(|speed| speed.abs() * self.task.duration_s);
         if way[0].max(way[1]) > LONGEST_WAY_M {
-            let found = self.task.duration_s.to_string();
-            return Err(ParameterError {
-                name: "duration-s".into(),
-                found,
-                expected: "a way of at most 30 m at the command",
-            });
+            let (found, expected) = (self.task.duration_s.to_string(), "a way of at most 30 m at the command");
+            return Err(ParameterError { name: "duration-s".into(), found, expected });
         }
         // A robot that turns may walk in any direction.
         let way = if self.task.yaw_rad_s == 0.0 { way } else { [way[0].hypot(way[1]); 2] };
@@ -68,9 +64,5 @@ impl Parameters for UnevenGround {
         script.scene.ground = Ground::Field(field.into());
         script.scene.buffers = Buffers { contacts: 200, rows: 900, stack: 200_000 };
         Ok(())
-    }
-
-    fn cost(&self) -> f64 {
-        4.0
     }
 }
