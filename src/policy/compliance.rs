@@ -57,11 +57,8 @@ pub enum ComplianceError {
         high: f64,
     },
     /// The policy does not observe the velocity command, which compliance control changes.
-    #[error("compliance control needs '{name}', which this policy does not observe")]
-    NotSeen {
-        /// Name of the quantity.
-        name: String,
-    },
+    #[error("compliance control needs '{0}', which this policy does not observe")]
+    NotSeen(String),
     /// The policy has not been calibrated.
     #[error("how far it yields has not been measured: run `policy calibrate` with it first")]
     NotCalibrated,
@@ -208,7 +205,7 @@ impl CompliantObservations {
         let names = agent.inference().layout.names();
         let place = |name: &str| {
             let wanted = names.iter().position(|known| known == name);
-            wanted.ok_or_else(|| ComplianceError::NotSeen { name: name.to_owned() })
+            wanted.ok_or_else(|| ComplianceError::NotSeen(name.to_owned()))
         };
         Ok(CompliantObservations {
             mass: calibration.virtual_mass(&agent.config),

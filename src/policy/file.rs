@@ -41,13 +41,10 @@ const GOLDEN_TOLERANCE: f64 = 1e-5;
 /// Description of a block of the observation, for other programs.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct BlockInfo {
-    /// The observed quantity.
     quantity: String,
     /// Age of the measurement \[policy steps\].
     age: u32,
-    /// Number of values.
     length: usize,
-    /// Unit of the values.
     unit: String,
 }
 
@@ -500,10 +497,7 @@ pub(crate) mod tests {
     fn golden_pairs_catch_a_wrong_weight_in_every_layer() {
         let bytes = policy().to_bytes().unwrap();
         let (tensors, _) = tensors::deserialize(&bytes).unwrap();
-        for name in ["0", "1", "2"]
-            .into_iter()
-            .flat_map(|layer| [format!("policy.{layer}.weight"), format!("policy.{layer}.bias")])
-        {
+        for name in [0, 1, 2].iter().flat_map(|k| ["weight", "bias"].map(|kind| format!("policy.{k}.{kind}"))) {
             let first = tensors.tensor(&name).unwrap().data().as_ptr() as usize - bytes.as_ptr() as usize;
             let mut damaged = bytes.clone();
             damaged[first..first + 4].copy_from_slice(&4.0_f32.to_le_bytes());
