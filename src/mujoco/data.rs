@@ -3,10 +3,11 @@
 use std::ptr::NonNull;
 
 use mujoco_sys as sys;
+use nalgebra::Isometry3;
 
 use super::error::{BufferKind, Error, Result, StateKind};
 use super::model::{Inertial, Model, Object};
-use super::{EMPTY_MESSAGE, check};
+use super::{EMPTY_MESSAGE, check, unit};
 
 /// A contact point found by MuJoCo's last position stage.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -164,7 +165,7 @@ impl Data {
     }
 
     /// Sets the simulation time \[s\].
-    pub fn set_time_s(&mut self, time_s: f64) {
+    pub(crate) fn set_time_s(&mut self, time_s: f64) {
         // SAFETY: the pointer is valid and `self` is borrowed mutably.
         unsafe { self.raw.as_mut() }.time = time_s;
     }
@@ -259,6 +260,13 @@ impl Data {
         Err(Error::BufferFull { buffer: BufferKind::Constraints, size: self.model.njmax() })
     }
 
+    /// Returns the pose of a body in the world.
+    pub(crate) fn body_pose(&self, body: usize) -> Isometry3<f64> {
+        let place: [f64; 3] = std::array::from_fn(|k| self.body_positions()[3 * body + k]);
+        let turn = std::array::from_fn(|k| self.body_quaternions()[4 * body + k]);
+        Isometry3::from_parts(place.into(), unit(turn))
+    }
+
     /// Iterates over the contact points of the last [`Data::step1`] that take part in the dynamics.
     pub fn contacts(&self) -> impl Iterator<Item = Contact> + '_ {
         let contacts = self.slice(self.raw().contact, self.contact_count());
@@ -272,10 +280,7 @@ impl Data {
 
     /// Returns the force of a contact on its second geometry, world frame \[N\]. Valid after [`Data::step2`] and before
     /// the next [`Data::step1`].
-    ///
-    /// # Panics
-    /// There is no contact of this index.
-    pub fn contact_force(&self, index: usize) -> [f64; 3] {
+    pub(crate) fn contact_force(&self, index: usize) -> [f64; 3] {
         let contact = &self.slice(self.raw().contact, self.contact_count())[index];
         // The address is negative for contacts without a force.
         let address = usize::try_from(contact.efc_address).unwrap_or(usize::MAX);
@@ -300,7 +305,7 @@ impl Data {
 
     /// Returns the force with which a tendon at its maximum length pulls its ends together \[N\]; zero while it is
     /// slack. Valid after [`Data::step2`] and before the next [`Data::step1`].
-    pub fn tendon_limit_force(&self, tendon: usize) -> f64 {
+    pub(crate) fn tendon_limit_force(&self, tendon: usize) -> f64 {
         let raw = self.raw();
         let rows = raw.nefc as usize;
         let (kinds, ids) = (self.slice(raw.efc_type, rows), self.slice(raw.efc_id, rows));
@@ -311,33 +316,16 @@ impl Data {
         (0..rows).filter(is_its_limit).map(|row| forces[row]).sum()
     }
 
-    /// Returns the velocity of a geometry's centre, world axes [m/s].
-    ///
-    /// # Panics
-    /// There is no geometry of this id.
-    pub fn geom_velocity(&self, geom: usize) -> [f64; 3] {
-        assert!(geom < self.model.count(Object::Geom), "geom {geom} out of range");
-        self.velocity_of(sys::mjOBJ_GEOM as i32, geom)
-    }
-
-    /// Returns the velocity of a site, world axes [m/s].
-    ///
-    /// # Panics
-    /// There is no site of this id.
-    pub fn site_velocity(&self, site: usize) -> [f64; 3] {
-        assert!(site < self.model.count(Object::Site), "site {site} out of range");
-        self.velocity_of(sys::mjOBJ_SITE as i32, site)
-    }
-
-    /// Returns the velocity of an element whose id was checked.
-    fn velocity_of(&self, kind: i32, id: usize) -> [f64; 3] {
+    /// Returns the velocity of a geometry's centre or a site, world axes [m/s].
+    pub(crate) fn velocity(&self, kind: Object, id: usize) -> [f64; 3] {
+        assert!(id < self.model.count(kind), "{kind:?} {id} out of range");
         let (mut velocity, mut message) = ([0.0; 6], EMPTY_MESSAGE);
         // SAFETY: model and data belong together, the id was checked, the result holds 6 numbers (angular, linear).
         let failed = unsafe {
             sys::supple_object_velocity(
                 self.model.as_ptr(),
                 self.raw.as_ptr(),
-                kind,
+                kind.known().0 as i32,
                 id as i32,
                 velocity.as_mut_ptr(),
                 0,

@@ -32,6 +32,8 @@ pub(crate) use sizes::{SizeError, check_sizes};
 use std::ffi::CStr;
 use std::sync::OnceLock;
 
+use nalgebra::{Quaternion, UnitQuaternion};
+
 /// The MuJoCo version these bindings were written for, as `mj_version` counts.
 pub const VERSION: i32 = mujoco_sys::mjVERSION_HEADER as i32;
 
@@ -55,6 +57,11 @@ fn initialise() -> Result<()> {
 pub fn release_memory() {
     // SAFETY: no preconditions; the C library locks what it walks through.
     unsafe { mujoco_sys::supple_release_memory() };
+}
+
+/// Returns the rotation of a quaternion as MuJoCo has it.
+pub(crate) fn unit([w, x, y, z]: [f64; 4]) -> UnitQuaternion<f64> {
+    UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z))
 }
 
 /// Buffer into which the shim writes MuJoCo's message.

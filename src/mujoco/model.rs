@@ -5,10 +5,10 @@ use std::ptr::NonNull;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use mujoco_sys as sys;
-use nalgebra::{Quaternion, UnitQuaternion};
+use nalgebra::UnitQuaternion;
 
 use super::error::{Error, Result};
-use super::{EMPTY_MESSAGE, check, initialise, sizes, text as text_of};
+use super::{EMPTY_MESSAGE, check, initialise, sizes, text as text_of, unit};
 use crate::util::xml;
 
 /// A kind of named model element.
@@ -34,7 +34,7 @@ pub enum Object {
 
 impl Object {
     /// Returns MuJoCo's constant of the kind and its name in messages.
-    fn known(self) -> (u32, &'static str) {
+    pub(super) fn known(self) -> (u32, &'static str) {
         match self {
             Object::Body => (sys::mjOBJ_BODY, "body"),
             Object::Joint => (sys::mjOBJ_JOINT, "joint"),
@@ -110,7 +110,7 @@ pub struct Actuator {
 impl Actuator {
     /// Returns the torques that the actuator can give, if they are limited \[N·m\]: its limits of the force, and for a motor
     /// also those of the control, whichever is tighter.
-    pub fn torque_range(&self) -> Option<[f64; 2]> {
+    pub(crate) fn torque_range(&self) -> Option<[f64; 2]> {
         let scaled = |[low, high]: [f64; 2], by: f64| [(low * by).min(high * by), (low * by).max(high * by)];
         let force = self.force_range;
         let control = self.control_range.filter(|_| !self.has_bias).map(|range| scaled(range, self.gain));
@@ -416,10 +416,7 @@ impl Model {
     }
 
     /// Sets the priority of a geometry: in a contact, the geometry with the higher priority sets friction and softness.
-    ///
-    /// # Panics
-    /// There is no geometry of this id.
-    pub fn set_priority(&mut self, geom: usize, priority: i32) {
+    pub(crate) fn set_priority(&mut self, geom: usize, priority: i32) {
         assert!(geom < self.count(Object::Geom), "geom {geom} out of range");
         // SAFETY: geom_priority holds a number for each geom; the id was checked.
         unsafe { *self.raw_mut().geom_priority.add(geom) = priority };
@@ -439,13 +436,7 @@ impl Model {
     }
 
     /// Adds mass to a body \[kg\], spread as its own is: its inertia grows in proportion, and its centre of mass stays.
-    ///
-    /// # Errors
-    /// Less mass than nothing would remain.
-    ///
-    /// # Panics
-    /// There is no body of this id.
-    pub fn add_mass(&mut self, body: usize, mass_kg: f64) -> Result<()> {
+    pub(crate) fn add_mass(&mut self, body: usize, mass_kg: f64) -> Result<()> {
         let factor = self.mass_factor(body, self.body_mass()[body], mass_kg)?;
         let carriers: Vec<usize> = self.carriers(body).collect();
         let raw = self.raw_mut();
@@ -519,10 +510,7 @@ impl Model {
     }
 
     /// Sets the maximum length of a limited tendon \[m\].
-    ///
-    /// # Panics
-    /// There is no tendon of this id.
-    pub fn set_longest_tendon(&mut self, tendon: usize, length_m: f64) {
+    pub(crate) fn set_longest_tendon(&mut self, tendon: usize, length_m: f64) {
         assert!(tendon < self.count(Object::Tendon), "tendon {tendon} out of range");
         // SAFETY: tendon_range holds 2 numbers for each tendon; the id was checked.
         unsafe { *self.raw_mut().tendon_range.add(2 * tendon + 1) = length_m };
@@ -561,7 +549,7 @@ impl Model {
     }
 
     /// Returns the corners of a mesh in the frame of a geometry that has its shape, shape (n, 3) \[m\].
-    pub fn mesh_vertices(&self, mesh: usize) -> &[f32] {
+    pub(crate) fn mesh_vertices(&self, mesh: usize) -> &[f32] {
         let raw = self.raw();
         let start = 3 * self.slice(raw.mesh_vertadr, raw.nmesh)[mesh] as usize;
         let length = 3 * self.slice(raw.mesh_vertnum, raw.nmesh)[mesh] as usize;
@@ -585,9 +573,8 @@ impl Model {
     }
 
     /// Returns the rotation from a body's frame to its parent's frame.
-    pub fn body_rotation(&self, body: usize) -> UnitQuaternion<f64> {
-        let [w, x, y, z] = self.row(self.raw().body_quat, self.raw().nbody, body);
-        UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z))
+    pub(crate) fn body_rotation(&self, body: usize) -> UnitQuaternion<f64> {
+        unit(self.row(self.raw().body_quat, self.raw().nbody, body))
     }
 
     /// Returns all data for drawing a geometry.
@@ -654,7 +641,7 @@ impl Model {
     }
 
     /// Like [`Model::height_field`], but writable before the first step.
-    pub fn height_field_mut(&mut self, id: usize) -> &mut [f32] {
+    pub(crate) fn height_field_mut(&mut self, id: usize) -> &mut [f32] {
         let start = self.slice(self.raw().hfield_adr, self.raw().nhfield)[id] as usize;
         let (rows, columns, _) = self.height_field_size(id);
         let raw = self.raw_mut();

@@ -61,7 +61,7 @@ impl StepObserver for ForceSense {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+    use nalgebra::{UnitQuaternion, Vector3};
     use rand::{Rng, RngExt};
 
     use super::*;
@@ -83,10 +83,8 @@ mod tests {
 
     /// Sets a force on body `body` that acts at `point`, world frame.
     fn apply(data: &mut Data, body: usize, point: Vector3<f64>, force: Vector3<f64>) {
-        let [w, x, y, z] = <[f64; 4]>::try_from(&data.body_quaternions()[4 * body..][..4]).unwrap();
-        let turn = UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z));
-        let origin = Vector3::from_column_slice(&data.body_positions()[3 * body..][..3]);
-        let centre = origin + turn * Vector3::from(data.model().body_centre_of_mass(body));
+        let pose = data.body_pose(body);
+        let centre = pose.translation.vector + pose.rotation * Vector3::from(data.model().body_centre_of_mass(body));
         let applied = &mut data.applied_forces_mut()[6 * body..][..6];
         applied[..3].copy_from_slice(force.as_slice());
         applied[3..].copy_from_slice((point - centre).cross(&force).as_slice());
