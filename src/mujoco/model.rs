@@ -479,13 +479,13 @@ impl Model {
 
     /// Gives a body more or less mass than `nominal` \[kg\], spread as its own is, and displaces its centre of mass in the
     /// body's frame \[m\]. Zero restores the nominal bits.
-    ///
-    /// # Errors
-    /// Less mass than nothing would remain.
-    ///
-    /// # Panics
-    /// There is no body of this id.
-    pub fn set_inertial(&mut self, body: usize, nominal: &Inertial, mass_kg: f64, offset_m: [f64; 3]) -> Result<()> {
+    pub(crate) fn set_inertial(
+        &mut self,
+        body: usize,
+        nominal: &Inertial,
+        mass_kg: f64,
+        offset_m: [f64; 3],
+    ) -> Result<()> {
         let factor = self.mass_factor(body, nominal.mass_kg, mass_kg)?;
         assert!(body < self.count(Object::Body), "body {body} out of range");
         let geoms: Vec<usize> = (0..self.count(Object::Geom)).filter(|geom| self.geom_body(*geom) == body).collect();

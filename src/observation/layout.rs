@@ -42,10 +42,7 @@ impl Layout {
     }
 
     /// Creates the layout of the entries that a critic sees in addition to the policy's; they may be privileged.
-    ///
-    /// # Errors
-    /// An entry is invalid, or there are none or too many numbers.
-    pub fn for_critic(entries: &[Observed], nominal: &NominalValues) -> Result<Self, LayoutError> {
+    pub(crate) fn for_critic(entries: &[Observed], nominal: &NominalValues) -> Result<Self, LayoutError> {
         Self::checked(entries, &[0], None, std::array::from_fn(|joint| joint), nominal, true)
     }
 
@@ -163,10 +160,7 @@ impl Layout {
     }
 
     /// Returns the same layout with other offsets and scales, shape (length) each.
-    ///
-    /// # Errors
-    /// Offset or scale has another length, or a number that is not finite.
-    pub fn with_normaliser(mut self, offset: Vec<f64>, scale: Vec<f64>) -> Result<Self, LayoutError> {
+    pub(crate) fn with_normaliser(mut self, offset: Vec<f64>, scale: Vec<f64>) -> Result<Self, LayoutError> {
         let (found, expected) = ([offset.len(), scale.len()], self.length());
         if found != [expected; 2] {
             return Err(LayoutError::Normaliser { found, expected });

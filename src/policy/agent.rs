@@ -90,10 +90,7 @@ impl Agent {
     }
 
     /// Like [`Agent::load`], but leaves a calibration next to the policy unread.
-    ///
-    /// # Errors
-    /// A file cannot be read or is invalid.
-    pub fn load_uncalibrated(path: &Path) -> Result<Self, AgentError> {
+    pub(crate) fn load_uncalibrated(path: &Path) -> Result<Self, AgentError> {
         let mut agent = if files::is_yaml(path) { external::load(path)? } else { Agent::from(Policy::load(path)?) };
         agent.find_robot(path.parent().unwrap_or(Path::new("")));
         Ok(agent)

@@ -1,8 +1,6 @@
 //! Playback: plays a script with a controller, one policy step at a time. Start with `Playback::try_step`. Commands, pushes, pulls
 //! and resets during a playback serve robots that are driven live; they take effect with the next step.
 
-use std::borrow::Cow;
-
 use super::force_sense::ForceSense;
 use super::senses::Senses;
 use super::{Goal, Script, Sensing, SensingError};
@@ -45,8 +43,8 @@ pub struct PlaybackStep {
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub struct Playback<'a> {
-    script: Cow<'a, Script>,
-    config: Cow<'a, Config>,
+    script: Script,
+    config: Config,
     controller: Box<dyn Controller + 'a>,
     world: World,
     /// The present command; starts as the script's.
@@ -81,23 +79,7 @@ impl<'a> Playback<'a> {
     ///
     /// # Errors
     /// The scene does not compile, or MuJoCo fails in the starting state.
-    pub fn new(script: &'a Script, config: &'a Config, controller: Box<dyn Controller + 'a>) -> mujoco::Result<Self> {
-        Self::of(Cow::Borrowed(script), Cow::Borrowed(config), controller)
-    }
-
-    /// Like [`Playback::new`], but takes ownership of script and configuration.
-    ///
-    /// # Errors
-    /// The scene does not compile, or MuJoCo fails in the starting state.
-    pub fn owned(script: Script, config: Config, controller: Box<dyn Controller + 'a>) -> mujoco::Result<Self> {
-        Self::of(Cow::Owned(script), Cow::Owned(config), controller)
-    }
-
-    fn of(
-        script: Cow<'a, Script>,
-        config: Cow<'a, Config>,
-        controller: Box<dyn Controller + 'a>,
-    ) -> mujoco::Result<Self> {
+    pub fn new(script: &Script, config: &Config, controller: Box<dyn Controller + 'a>) -> mujoco::Result<Self> {
         let mut world =
             World::new(&script.scene, &config.simulation, config.episode.min_height_m, config.reward.clone())?;
         world.begin(script.conditions, &controller.rest(), script.disturbances.iter().cloned())?;
@@ -115,11 +97,11 @@ impl<'a> Playback<'a> {
             fallen_since: None,
             clock_is_held: false,
             failed: false,
-            goal_from: goal_body(&script, world.sim())?,
+            goal_from: goal_body(script, world.sim())?,
             passed_goal_since: None,
             world,
-            script,
-            config,
+            script: script.clone(),
+            config: config.clone(),
         };
         if playback.command.compliance.is_some() || playback.controller.needs_felt_force() {
             playback.with_felt_forces()

@@ -78,9 +78,6 @@ impl AgentCache {
 
     /// Returns the policy of a seat whose robot is in the session already, without reading the robot's files again, or those
     /// of a policy in the cache.
-    ///
-    /// # Errors
-    /// The policy no longer exists or has changed.
     pub(super) fn renewed(&mut self, seat: &Seat) -> Result<Arc<Agent>, SessionError> {
         if !self.agents.contains_key(&seat.sha256) {
             let (agent, file) = AgentCache::read(&seat.policy)?;

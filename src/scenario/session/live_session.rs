@@ -225,9 +225,8 @@ impl Player {
     fn new(setup: &Setup, seat: &Seat, agent: Arc<Agent>) -> Result<Self, SessionError> {
         let mut script = setup.scene.script(setup.seed, &agent.config)?;
         script.command.compliance = agent.resolve_compliance(seat.compliance, None)?;
-        let controller = agent.shared_controller();
         let rollout =
-            Playback::owned(script.clone(), agent.config.clone(), controller)?.with_felt_forces()?.with_bodies();
+            Playback::new(&script, &agent.config, agent.shared_controller())?.with_felt_forces()?.with_bodies();
         Ok(Player { agent, script, rollout, is_beginning: true, steps: 0, falls: 0 })
     }
 
