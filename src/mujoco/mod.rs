@@ -8,13 +8,6 @@ module is the only one that holds `unsafe` code.
 */
 #![allow(unsafe_code)]
 
-/// Declares methods of a single expression, a line each.
-macro_rules! methods {
-    ($($(#[$doc:meta])* fn $name:ident($($given:tt)*) $(-> $type:ty)? = $value:expr;)*) => {
-        $($(#[$doc])* pub fn $name($($given)*) $(-> $type)? { $value })*
-    };
-}
-
 mod data;
 mod error;
 mod library;

@@ -185,34 +185,25 @@ impl Policy {
         policy
     }
 
-    /// Returns the layout of the observation.
-    pub fn layout(&self) -> &Layout {
-        &self.inference.layout
-    }
-
-    /// Returns the joint targets at action zero \[rad\].
-    pub fn nominal_pose(&self) -> &Joints {
-        &self.inference.action.nominal_pose
-    }
-
-    /// Returns the change of the joint target per unit of action \[rad\].
-    pub fn scale_rad(&self) -> f64 {
-        self.inference.action.scale_rad[0]
-    }
-
-    /// Returns the inference from states to joint targets.
-    pub fn inference(&self) -> &Inference {
-        &self.inference
+    methods! {
+        /// Returns the layout of the observation.
+        fn layout(&self) -> &Layout = &self.inference.layout;
+        /// Returns the joint targets at action zero \[rad\].
+        fn nominal_pose(&self) -> &Joints = &self.inference.action.nominal_pose;
+        /// Returns the change of the joint target per unit of action \[rad\].
+        fn scale_rad(&self) -> f64 = self.inference.action.scale_rad[0];
+        /// Returns the inference from states to joint targets.
+        fn inference(&self) -> &Inference = &self.inference;
+        /// The observation has another length.
+        fn joint_targets(&self, observation: &[f64], buffers: &mut InferenceBuffers) -> Joints =
+            self.inference.joint_targets(observation, buffers);
+        /// Returns the SHA-256 of the policy file, which identifies it.
+        fn sha256(&self) -> &str = &self.sha256;
     }
 
     /// Returns the joint targets \[rad\] for an observation in physical units, shape (length of the layout).
     ///
     /// # Panics
-    /// The observation has another length.
-    pub fn joint_targets(&self, observation: &[f64], buffers: &mut InferenceBuffers) -> Joints {
-        self.inference.joint_targets(observation, buffers)
-    }
-
     /// Serialises the policy to the bytes of a policy file.
     ///
     /// # Errors
@@ -242,11 +233,6 @@ impl Policy {
         };
         // Plain structs of finite numbers and strings: serialising them cannot fail.
         serde_json::to_string(&metadata).unwrap_or_default()
-    }
-
-    /// Returns the SHA-256 of the policy file, which identifies it.
-    pub fn sha256(&self) -> &str {
-        &self.sha256
     }
 
     /// Writes the policy file atomically.

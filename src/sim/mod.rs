@@ -354,34 +354,19 @@ impl Sim {
         }
     }
 
-    /// Returns the physics, for recorders and metrics.
-    pub fn data(&self) -> &Data {
-        &self.data
-    }
-
-    /// Returns the physics to be changed, for scenarios that move obstacles or inject faults.
-    pub fn data_mut(&mut self) -> &mut Data {
-        &mut self.data
-    }
-
-    /// Returns the robot.
-    pub fn robot(&self) -> &Arc<Robot> {
-        &self.robot
-    }
-
-    /// Returns the ids of the robot's parts in the model.
-    pub fn parts(&self) -> &Parts {
-        &self.parts
-    }
-
-    /// Returns the ground.
-    pub fn ground(&self) -> &Ground {
-        &self.ground
-    }
-
-    /// Returns the duration of a policy step \[s\].
-    pub fn policy_period_s(&self) -> f64 {
-        self.substeps as f64 * self.data.model().timestep_s()
+    methods! {
+        /// Returns the physics, for recorders and metrics.
+        fn data(&self) -> &Data = &self.data;
+        /// Returns the physics to be changed, for scenarios that move obstacles or inject faults.
+        fn data_mut(&mut self) -> &mut Data = &mut self.data;
+        /// Returns the robot.
+        fn robot(&self) -> &Arc<Robot> = &self.robot;
+        /// Returns the ids of the robot's parts in the model.
+        fn parts(&self) -> &Parts = &self.parts;
+        /// Returns the ground.
+        fn ground(&self) -> &Ground = &self.ground;
+        /// Returns the duration of a policy step \[s\].
+        fn policy_period_s(&self) -> f64 = self.substeps as f64 * self.data.model().timestep_s();
     }
 
     /// Returns the state from which the simulation continues exactly.
