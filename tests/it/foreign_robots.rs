@@ -121,8 +121,8 @@ fn load(files: &[(&str, &str)]) -> Result<Arc<Robot>, String> {
         let path = folder.path().join(name);
         std::fs::write(&path, text).map(|()| path).unwrap()
     };
-    let path = files.iter().map(write).last().unwrap();
-    Robot::load(path.to_str().unwrap()).map_err(|error| error.to_string())
+    let paths: Vec<_> = files.iter().map(write).collect();
+    Robot::load(paths[paths.len() - 1].to_str().unwrap()).map_err(|error| error.to_string())
 }
 
 fn height(robot: &Robot) -> f64 {
