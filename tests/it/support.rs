@@ -11,6 +11,7 @@ use supple::config::Config;
 use supple::network::ActorCritic;
 use supple::policy::{Policy, Provenance, external, onnx};
 use supple::robot::{JOINTS, Robot};
+use supple::train::checkpoint::Checkpoint;
 use supple::util::random::{Purpose, stream};
 
 /// A configuration small enough for tests: the paper's task, a tiny learner.
@@ -164,4 +165,19 @@ pub fn assert_same(a: &[Value], b: &[Value]) {
             assert_eq!(value, &b[key], "{key} of iteration {}", a["iteration"]);
         }
     }
+}
+
+/// Two runs of the same bits, whole: metrics, checkpoint and policy.
+pub fn assert_same_run(a: &Path, b: &Path) {
+    assert_same(&metrics(a), &metrics(b));
+    let load = |folder: &Path| {
+        let (mut checkpoint, passed_over) = Checkpoint::load(folder).unwrap();
+        assert!(passed_over.is_none());
+        // The only number that differs between two runs of the same seed.
+        checkpoint.run.elapsed_s = 0.0;
+        checkpoint
+    };
+    assert!(load(a) == load(b), "the last checkpoints differ");
+    let policy = |folder: &Path| std::fs::read(folder.join("policy.safetensors")).unwrap();
+    assert!(policy(a) == policy(b), "the policies differ");
 }

@@ -46,7 +46,8 @@ impl CandleNetworks {
     }
 }
 
-fn forward(layers: &[Linear], observations: &Tensor) -> Result<Tensor> {
+/// Evaluates layers as [`PackedMlp`](crate::network::PackedMlp) does.
+pub fn forward(layers: &[Linear], observations: &Tensor) -> Result<Tensor> {
     let mut x = observations.clone();
     for (i, layer) in layers.iter().enumerate() {
         x = layer.forward(&x)?;
