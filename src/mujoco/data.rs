@@ -12,7 +12,7 @@ use super::{EMPTY_MESSAGE, check, unit};
 /// A contact point found by MuJoCo's last position stage.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Contact {
-    /// Index among the contacts, for [`Data::contact_force`].
+    /// Index among the contacts, for `contact_force`.
     pub index: usize,
     /// The two geometries, ordered by MuJoCo's shape types (plane, height field, sphere, capsule, …, box).
     pub geoms: [usize; 2],
@@ -105,13 +105,13 @@ impl Data {
         fn set_gravity(&mut self, gravity: [f64; 3]) = self.model.set_gravity(gravity);
         /// Sets the sliding friction coefficient of a geometry: see [`Model::set_sliding_friction`].
         fn set_sliding_friction(&mut self, geom: usize, friction: f64) = self.model.set_sliding_friction(geom, friction);
-        /// Gives a body another mass and centre of mass: see [`Model::set_inertial`].
+        /// Gives a body another mass and centre of mass: see `Model::set_inertial`.
         fn set_inertial(&mut self, body: usize, nominal: &Inertial, mass_kg: f64, offset_m: [f64; 3]) -> Result<()> =
             self.model.set_inertial(body, nominal, mass_kg, offset_m);
         /// Sets the losses of a hinge: see [`Model::set_losses`].
         fn set_losses(&mut self, joint: usize, friction: f64, damping: f64) =
             self.model.set_losses(joint, friction, damping);
-        /// Sets the maximum length of a tendon \[m\]: see [`Model::set_longest_tendon`].
+        /// Sets the maximum length of a tendon \[m\]: see `Model::set_longest_tendon`.
         fn set_longest_tendon(&mut self, tendon: usize, length_m: f64) = self.model.set_longest_tendon(tendon, length_m);
     }
 

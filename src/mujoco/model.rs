@@ -155,7 +155,7 @@ unsafe impl Send for Model {}
 // SAFETY: as above.
 unsafe impl Sync for Model {}
 
-/// The mass of a body, from which [`Model::set_inertial`] deviates.
+/// The mass of a body, from which `Model::set_inertial` deviates.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Inertial {
     /// Mass of the body \[kg\].
