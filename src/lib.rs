@@ -14,6 +14,13 @@ read the code, follow the data:
 [`provenance`] names the versions of program and MuJoCo; [`util`] contains helpers for all of them.
 */
 
+/// Declares methods of a single expression, a line each.
+macro_rules! methods {
+    ($($(#[$doc:meta])* fn $name:ident($($given:tt)*) $(-> $type:ty)? = $value:expr;)*) => {
+        $($(#[$doc])* pub fn $name($($given)*) $(-> $type)? { $value })*
+    };
+}
+
 pub mod config;
 pub mod estimate;
 pub mod guide;

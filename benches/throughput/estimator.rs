@@ -10,12 +10,9 @@ use supple::robot::{JOINTS, PARTS, Robot};
 
 use crate::stopwatch::{Effort, median, timed};
 
-/// Figures of one core.
 #[derive(Debug, Serialize)]
 pub struct Sensing {
-    /// Contact network alone [µs].
     pub network_us: f64,
-    /// Network and filters [µs].
     pub tick_us: f64,
     /// The observer of external forces, one physics step [µs].
     pub observer_us: f64,

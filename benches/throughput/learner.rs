@@ -32,7 +32,6 @@ const PRODUCTS: usize = 20;
 /// The update on some threads.
 #[derive(Debug, Serialize)]
 pub struct Rates {
-    /// Threads.
     pub threads: usize,
     /// Sample passes through both networks and back [1/s].
     pub sample_passes_per_s: f64,
@@ -40,14 +39,10 @@ pub struct Rates {
     pub gflop_per_s: f64,
 }
 
-/// All of it.
 #[derive(Debug, Serialize)]
 pub struct Update {
-    /// Samples of the batch.
     pub batch_size: usize,
-    /// Samples of a gradient step.
     pub minibatch_size: usize,
-    /// Epochs of an update.
     pub epochs: usize,
     /// Floating-point work of a sample pass [kFLOP].
     pub kflop_per_sample_pass: f64,
@@ -61,7 +56,6 @@ pub struct Update {
     pub precisions: Vec<(Precision, Rates)>,
     /// Median of the repetitions' own ratios: each of these over f32.
     pub over_f32: Vec<f64>,
-    /// By the candle learner.
     pub candle: Rates,
     /// Median of the repetitions' own ratios: f32 on all threads over candle.
     pub f32_over_candle: f64,
@@ -71,7 +65,6 @@ pub struct Update {
     pub update_over_peak: f64,
 }
 
-/// Collects a batch and learns from it.
 pub fn measure(config: &Config, threads: usize, effort: &Effort) -> anyhow::Result<Update> {
     let ppo = &config.ppo;
     let mut rng = stream(0, Purpose::Weights, 0, 0);

@@ -10,14 +10,11 @@ use crate::stopwatch::Effort;
 pub struct Machine {
     /// The model of the first processor.
     pub processor: String,
-    /// Cores in use.
     pub threads: usize,
     /// Share of the cores' time that went to anything but this run: above a few hundredths, only ratios mean anything,
     /// and above a tenth not even they.
     pub taken_by_others: f64,
-    /// The revision of the program.
     pub git_revision: &'static str,
-    /// The version of the library.
     pub mujoco_version: &'static str,
     /// Figures of a quick run mean nothing.
     pub quick: bool,
@@ -54,7 +51,6 @@ pub struct Ticks {
 }
 
 impl Ticks {
-    /// Now.
     pub fn now() -> Self {
         // cpu user nice system idle iowait irq softirq steal …
         let whole = read("/proc/stat");

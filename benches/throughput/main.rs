@@ -21,7 +21,6 @@ use std::process::ExitCode;
 use anyhow::Context;
 use clap::Parser;
 use supple::config::Config;
-use supple::policy::Policy;
 use supple::policy::shipped;
 
 use machine::{Machine, Ticks};
@@ -37,9 +36,9 @@ struct Args {
     /// Little work and one repetition: shows that everything runs, measures nothing
     #[arg(long)]
     quick: bool,
-    /// Policy that moves the robot: a file, a run's folder, or a shipped one [default: compliant, if it ships]
-    #[arg(long, value_name = "NAME")]
-    policy: Option<String>,
+    /// Policy that moves the robot: a file, a run's folder, or a shipped one
+    #[arg(long, value_name = "NAME", default_value = "compliant")]
+    policy: String,
     /// Leave the peers out even if they are installed
     #[arg(long)]
     no_peers: bool,
@@ -62,18 +61,18 @@ fn main() -> ExitCode {
 fn run(args: &Args) -> anyhow::Result<()> {
     let effort = if args.quick || !args.bench { Effort::quick() } else { Effort::full() };
     let config = Config::load("compliant")?;
-    let policy = moving_policy(args.policy.as_deref())?;
+    let policy = shipped::find_ours(&args.policy)?;
     let threads = std::thread::available_parallelism().map_or(1, |cores| cores.get());
 
     let start = Ticks::now();
     eprintln!("physics and environment …");
-    let physics = physics::measure(&config, policy.as_ref(), threads, &effort).context("physics")?;
+    let physics = physics::measure(&config, &policy, threads, &effort).context("physics")?;
     eprintln!("learner …");
     let learner = learner::measure(&config, threads, &effort).context("learner")?;
     eprintln!("whole iterations …");
     let training = training::measure(&config, threads, &effort).context("training")?;
     eprintln!("ball pit …");
-    let pit = pit::measure(policy, &config, &effort).context("ball pit")?;
+    let pit = pit::measure(&policy, &config, &effort).context("ball pit")?;
     eprintln!("sensing …");
     let sensing = estimator::measure(&config, &effort).context("sensing")?;
     let peers = if args.no_peers { None } else { peers::measure(&config, threads, &effort).context("peers")? };
@@ -86,13 +85,4 @@ fn run(args: &Args) -> anyhow::Result<()> {
         println!("{report}");
     }
     Ok(())
-}
-
-/// The policy that was asked for, or the shipped one. Before any ships there is none.
-fn moving_policy(name: Option<&str>) -> anyhow::Result<Option<Policy>> {
-    match name {
-        Some(name) => Ok(Some(shipped::find_ours(name)?)),
-        None if shipped::EMBEDDED.is_empty() => Ok(None),
-        None => Ok(Some(shipped::find_ours("compliant")?)),
-    }
 }

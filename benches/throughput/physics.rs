@@ -15,7 +15,6 @@ use crate::stopwatch::{Effort, median, timed_on_threads};
 /// Rates [physics steps/s] on some threads.
 #[derive(Debug, Serialize)]
 pub struct Rates {
-    /// Threads.
     pub threads: usize,
     /// `mj_step` alone.
     pub raw_steps_per_s: f64,
@@ -25,37 +24,35 @@ pub struct Rates {
     pub env_over_raw: f64,
 }
 
-/// All of it.
 #[derive(Debug, Serialize)]
 pub struct Physics {
     /// The source of the robots' actions.
     pub moved_by: String,
-    /// Environments.
     pub environments: usize,
     /// Policy steps of each.
     pub steps: usize,
     /// Resets and pushes among them.
     pub interventions: usize,
-    /// On one thread.
     pub one_thread: Rates,
-    /// On all threads.
     pub all_threads: Rates,
 }
 
-/// Records and replays.
-pub fn measure(config: &Config, policy: Option<&Policy>, threads: usize, effort: &Effort) -> anyhow::Result<Physics> {
+pub fn measure(config: &Config, policy: &Policy, threads: usize, effort: &Effort) -> anyhow::Result<Physics> {
     let record = |index| Replay::record(config, policy, index as u64, effort.warm_up_steps, effort.steps);
     let mut replays = (0..effort.environments).map(record).collect::<anyhow::Result<Vec<_>>>()?;
     Ok(Physics {
-        moved_by: policy.map_or("a scripted trot".into(), |policy| {
-            format!("{} after {} samples", policy.provenance.config_name, policy.provenance.samples)
-        }),
+        moved_by: moved_by(policy),
         environments: effort.environments,
         steps: effort.steps,
         interventions: replays.iter().map(Replay::interventions).sum(),
         one_thread: rates(&mut replays, 1, effort)?,
         all_threads: rates(&mut replays, threads, effort)?,
     })
+}
+
+/// Names what moves the robots.
+pub fn moved_by(policy: &Policy) -> String {
+    format!("{} after {} samples", policy.provenance.config_name, policy.provenance.samples)
 }
 
 fn rates(replays: &mut [Replay], threads: usize, effort: &Effort) -> anyhow::Result<Rates> {

@@ -7,31 +7,22 @@ use std::time::Instant;
 
 use serde::Serialize;
 use supple::config::Config;
-use supple::network::ActorCritic;
-use supple::policy::{Policy, Provenance};
-use supple::robot::{JOINTS, Robot};
+use supple::policy::Policy;
 use supple::scenario::Playback;
 use supple::scenario::catalog::Scenario;
 use supple::scenario::trace::EventKind;
-use supple::util::random::{Purpose, stream};
 
+use crate::physics::moved_by;
 use crate::stopwatch::{Effort, median};
 
-/// Name of the scenario.
-const NAME: &str = "ball-pit";
-
-/// All of it.
 #[derive(Debug, Serialize)]
 pub struct Pit {
     /// The source of the robot's actions.
     pub moved_by: String,
     /// Simulated in one repetition [s].
     pub simulated_s: f64,
-    /// How far the robot got [m].
     pub distance_m: f64,
-    /// Physics steps per second of wall-clock time.
     pub physics_steps_per_s: f64,
-    /// Simulated over wall-clock time.
     pub real_time: f64,
     /// The same in the slowest simulated second.
     pub slowest_second_real_time: f64,
@@ -41,7 +32,6 @@ pub struct Pit {
     pub fault: Option<String>,
 }
 
-/// One repetition.
 struct Play {
     elapsed_s: f64,
     /// When each frame was done [s].
@@ -52,13 +42,9 @@ struct Play {
 }
 
 /// Plays the scenario with its own parameters.
-pub fn measure(policy: Option<Policy>, config: &Config, effort: &Effort) -> anyhow::Result<Pit> {
-    let moved_by = policy.as_ref().map_or("nothing: it stands".into(), |policy| {
-        format!("{} after {} samples", policy.provenance.config_name, policy.provenance.samples)
-    });
-    let policy = policy.map_or_else(|| standing(config), Ok)?;
-    let scenario = Scenario::named(NAME, &format!("duration_s: {}", effort.pit_s))?;
-    let plays = (0..effort.repetitions).map(|_| play(&scenario, &policy)).collect::<anyhow::Result<Vec<Play>>>()?;
+pub fn measure(policy: &Policy, config: &Config, effort: &Effort) -> anyhow::Result<Pit> {
+    let scenario = Scenario::named("ball-pit", &format!("duration_s: {}", effort.pit_s))?;
+    let plays = (0..effort.repetitions).map(|_| play(&scenario, policy)).collect::<anyhow::Result<Vec<Play>>>()?;
 
     let period_s = policy.provenance.config.simulation.policy_period_s();
     let second = (1.0 / period_s).round() as usize;
@@ -69,7 +55,7 @@ pub fn measure(policy: Option<Policy>, config: &Config, effort: &Effort) -> anyh
     };
     let real_time = median(plays.iter().map(|play| simulated_s(play) / play.elapsed_s));
     Ok(Pit {
-        moved_by,
+        moved_by: moved_by(policy),
         simulated_s: median(plays.iter().map(simulated_s)),
         distance_m: median(plays.iter().map(|play| play.distance_m)),
         physics_steps_per_s: real_time / config.simulation.timestep_s(),
@@ -97,20 +83,4 @@ fn play(scenario: &Scenario, policy: &Policy) -> anyhow::Result<Play> {
     }
     play.elapsed_s = started.elapsed().as_secs_f64();
     Ok(play)
-}
-
-/// A policy that holds the nominal pose.
-fn standing(config: &Config) -> anyhow::Result<Policy> {
-    let (layout, robot) = (config.layout()?, Robot::load(&config.robot.model)?);
-    let mut rng = stream(0, Purpose::Weights, 0, 0);
-    let network = ActorCritic::orthogonal(layout.length(), &config.ppo.hidden_layers, JOINTS, 0.0, &mut rng);
-    let provenance = Provenance {
-        config_name: "standing".into(),
-        config: config.clone(),
-        seed: 0,
-        samples: 0,
-        git_revision: supple::provenance::git_revision().into(),
-        mujoco_version: supple::provenance::mujoco_version().into(),
-    };
-    Ok(Policy::new(&network.zeros_like(), &robot, layout, provenance))
 }

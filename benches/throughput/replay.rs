@@ -14,7 +14,7 @@ use serde::Deserialize;
 use supple::config::Config;
 use supple::mujoco::Data;
 use supple::policy::{InferenceBuffers, Policy};
-use supple::robot::{JOINTS, Joints, PARTS, Robot};
+use supple::robot::{JOINTS, Joints, Robot};
 use supple::sim::{Conditions, Parts, Scene, Sim, StepObserver};
 use supple::task::Stages;
 use supple::train::Curriculum;
@@ -67,18 +67,13 @@ pub struct Replay {
 
 impl Replay {
     /// Records `steps` policy steps of environment `index`, after `warm_up` others.
-    pub fn record(
-        config: &Config,
-        policy: Option<&Policy>,
-        index: u64,
-        warm_up: usize,
-        steps: usize,
-    ) -> anyhow::Result<Self> {
+    pub fn record(config: &Config, policy: &Policy, index: u64, warm_up: usize, steps: usize) -> anyhow::Result<Self> {
         let mut env = LocomotionEnv::new(config, 0, index, Curriculum::complete())?;
         let scene = Scene::flat(Robot::load(&config.robot.model)?, config.simulation.timestep_s());
         let mut twin = Sim::new(&scene, &config.simulation, config.episode.min_height_m)?;
         let recovery_start = Stages::new(&config.episode, &config.simulation).recovery_start;
-        let mut driver = Driver { config, policy, index, buffers: InferenceBuffers::default() };
+        let (nominal, scale) = (config.action.nominal_pose_rad.joints(), config.action.scale_rad);
+        let mut buffers = InferenceBuffers::default();
         let mut tape = Tape::default();
         let (mut env_start, mut starts, mut actions) = (env.save(), Vec::new(), Vec::new());
         // Policy steps since the episode began.
@@ -101,8 +96,14 @@ impl Replay {
             {
                 starts.push((now, Start::of(&twin)?));
             }
-            let action = driver.action(&env, step);
-            twin.step(&target(config, &action), &mut tape)?;
+            let mut noise = stream(0, Purpose::Action, index, step as u64);
+            let wanted = policy.joint_targets(&env.observation(), &mut buffers);
+            let action: [f32; JOINTS] = std::array::from_fn(|joint| {
+                ((wanted[joint] - nominal[joint]) / scale) as f32 + NOISE * noise.sample::<f32, _>(StandardNormal)
+            });
+            // As the environment maps an action to joint targets.
+            let target = std::array::from_fn(|joint| nominal[joint] + scale * f64::from(action[joint]));
+            twin.step(&target, &mut tape)?;
             let (outcome, _) = env.step(&action);
             ensure!(outcome.end != Some(EpisodeEnd::Fault), "the physics failed in environment {index}");
             ensure!(
@@ -135,7 +136,6 @@ impl Replay {
         })
     }
 
-    /// Physics steps of the stretch.
     pub fn physics_steps(&self) -> usize {
         self.torques.len()
     }
@@ -145,7 +145,6 @@ impl Replay {
         self.starts.len() - 1
     }
 
-    /// Back to the beginning.
     pub fn rewind(&mut self) -> anyhow::Result<()> {
         self.env.restore(&self.env_start)?;
         self.raw.reset()?;
@@ -194,45 +193,6 @@ impl Replay {
         ensure!(self.raw.positions().iter().zip(&self.end).enumerate().all(exact), "mj_step took another way");
         Ok(())
     }
-}
-
-/// What moves the robot: the policy, or a trot in place if there is none, and noise.
-struct Driver<'a> {
-    config: &'a Config,
-    policy: Option<&'a Policy>,
-    index: u64,
-    buffers: InferenceBuffers,
-}
-
-impl Driver<'_> {
-    fn action(&mut self, env: &LocomotionEnv, step: usize) -> [f32; JOINTS] {
-        let (nominal, scale) = (nominal(self.config), self.config.action.scale_rad);
-        let mut noise = stream(0, Purpose::Action, self.index, step as u64);
-        let target = match self.policy {
-            Some(policy) => policy.joint_targets(&env.observation(), &mut self.buffers),
-            None => std::array::from_fn(|joint| nominal[joint] + scale * trot(joint, step)),
-        };
-        std::array::from_fn(|joint| {
-            ((target[joint] - nominal[joint]) / scale) as f32 + NOISE * noise.sample::<f32, _>(StandardNormal)
-        })
-    }
-}
-
-/// Action of a trot at 2.5 Hz: diagonal legs together, the calf folding as the thigh swings.
-fn trot(joint: usize, step: usize) -> f64 {
-    let diagonal = if matches!(joint / PARTS.len(), 0 | 3) { 0.0 } else { std::f64::consts::PI };
-    let phase = std::f64::consts::TAU * 2.5 * step as f64 / 60.0 + diagonal;
-    [0.0, 0.5, -1.0][joint % PARTS.len()] * phase.sin().max(0.0)
-}
-
-fn nominal(config: &Config) -> Joints {
-    config.action.nominal_pose_rad.joints()
-}
-
-/// Maps an action to joint targets as the environment does.
-fn target(config: &Config, action: &[f32; JOINTS]) -> Joints {
-    let nominal = nominal(config);
-    std::array::from_fn(|joint| nominal[joint] + config.action.scale_rad * f64::from(action[joint]))
 }
 
 /// Torques in the order of the actuators, which is that of the joints.

@@ -33,7 +33,6 @@ pub struct Report {
 }
 
 impl Report {
-    /// Brings everything together.
     pub fn new(
         machine: Machine,
         physics: Physics,
@@ -43,10 +42,9 @@ impl Report {
         sensing: Sensing,
         peers: Option<Peers>,
     ) -> Self {
-        let figure = |peer: Option<&Value>, name: &str| peer.and_then(|peer| peer[name].as_f64());
-        let torch = peers.as_ref().and_then(|peers| figure(peers.torch_update.as_ref(), "sample_passes_per_s"));
-        let sb3 = peers.as_ref().and_then(|peers| figure(peers.sb3.as_ref(), "samples_per_s"));
-        let on_supple = peers.as_ref().and_then(|peers| figure(peers.sb3_on_supple.as_ref(), "samples_per_s"));
+        let torch = peers.as_ref().and_then(|peers| figure(&peers.torch_update, "sample_passes_per_s"));
+        let sb3 = peers.as_ref().and_then(|peers| figure(&peers.sb3, "samples_per_s"));
+        let on_supple = peers.as_ref().and_then(|peers| figure(&peers.sb3_on_supple, "samples_per_s"));
         Report {
             env_over_raw: physics.all_threads.env_over_raw,
             update_over_peak: update.update_over_peak,
@@ -72,10 +70,9 @@ impl Display for Report {
         let n = machine.threads;
         writeln!(f, "{}, {n} threads, supple {}", machine.processor, machine.git_revision)?;
         writeln!(f, "others took {:.1} % of the cores' time", 100.0 * machine.taken_by_others)?;
-        if machine.quick {
-            writeln!(f, "a quick run: the figures mean nothing")?;
-        } else {
-            writeln!(f, "medians of {} repetitions", machine.repetitions)?;
+        match machine.quick {
+            true => writeln!(f, "a quick run: the figures mean nothing")?,
+            false => writeln!(f, "medians of {} repetitions", machine.repetitions)?,
         }
         writeln!(f, "\n{:<46}{:>12}{:>12}", "", "1 thread", format!("{n} threads"))?;
         let mut row = |name: &str, one: f64, all: f64| writeln!(f, "{name:<46}{:>12}{:>12}", short(one), short(all));
@@ -104,7 +101,6 @@ impl Display for Report {
         row("  contact network [µs]", sensing.network_us, f64::NAN)?;
         row("force observer, a physics step [µs]", sensing.observer_us, f64::NAN)?;
         if let Some(Peers { torch_update, sb3, sb3_on_supple }) = &self.peers {
-            let figure = |peer: &Option<Value>, name: &str| peer.as_ref().and_then(|peer| peer[name].as_f64());
             let mut row = |name: &str, value: Option<f64>| match value {
                 Some(value) => writeln!(f, "{name:<58}{:>12}", short(value)),
                 None => writeln!(f, "{name:<58}{:>12}", "-"),
@@ -135,6 +131,10 @@ impl Display for Report {
         let [found, room] = ball_pit.contacts;
         write!(f, "ball pit: {found} of {room} contacts; {}", ball_pit.fault.as_deref().unwrap_or("no buffer was full"))
     }
+}
+
+fn figure(peer: &Option<Value>, name: &str) -> Option<f64> {
+    peer.as_ref()?[name].as_f64()
 }
 
 fn short(value: f64) -> String {

@@ -6,17 +6,14 @@ use std::time::Instant;
 /// How much work the figures rest on.
 #[derive(Debug, Clone, Copy)]
 pub struct Effort {
-    /// True for a quick run, whose figures are meaningless.
     pub quick: bool,
     /// Repetitions behind a median.
     pub repetitions: usize,
-    /// Environments.
     pub environments: usize,
     /// Policy steps before those that are measured, so that environments are in different stages.
     pub warm_up_steps: usize,
     /// Policy steps of each environment in a repetition.
     pub steps: usize,
-    /// Epochs of an update.
     pub epochs: usize,
     /// Length of the ball pit rollout [s].
     pub pit_s: f64,

@@ -14,7 +14,6 @@ use crate::stopwatch::{Effort, median, timed};
 /// Times of an iteration on some threads, medians.
 #[derive(Debug, Serialize)]
 pub struct Iteration {
-    /// Threads.
     pub threads: usize,
     /// Samples collected and learnt from [1/s].
     pub samples_per_s: f64,
@@ -26,14 +25,10 @@ pub struct Iteration {
     pub rest_s: f64,
 }
 
-/// All of it.
 #[derive(Debug, Serialize)]
 pub struct Training {
-    /// Samples of an iteration.
     pub batch_size: usize,
-    /// On one thread.
     pub one_thread: Iteration,
-    /// On all threads.
     pub all_threads: Iteration,
     /// Time of the whole iteration on one thread over that on all, median of the iterations' own ratios.
     pub speed_up: f64,

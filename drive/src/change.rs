@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use supple::mujoco;
 use supple::policy::AgentError;
-use supple::scenario::session::{AgentCache, AgentCacheError, LiveSession, SceneKind, Setup};
+use supple::scenario::session::{AgentCache, LiveSession, SceneKind, SessionError, Setup};
 
 use crate::message::{Built, Message, NewPolicy};
 use crate::server::start_thread;
@@ -160,8 +160,7 @@ impl Builder {
             // That of the scene before the present one.
             mujoco::release_memory();
             let result = change.build(setup, cache).map(Box::new).map_err(|error| {
-                let is_harmless =
-                    matches!(error.downcast_ref(), Some(AgentCacheError::Agent(AgentError::Unknown { .. })));
+                let is_harmless = matches!(error.downcast_ref(), Some(SessionError::Agent(AgentError::Unknown { .. })));
                 watch_run::told(&format!("{error:#}"), &what, is_shared && !is_harmless)
             });
             // The receiver is gone if the program is ending.

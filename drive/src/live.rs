@@ -11,7 +11,7 @@ use std::sync::mpsc::{Receiver, SyncSender};
 use std::sync::{Arc, Mutex};
 
 use anyhow::Context;
-use supple::scenario::session::{Act, AgentCache, Input, LiveSession, LiveSessionError, RATE_HZ, Seat, Setup, Writer};
+use supple::scenario::session::{Act, AgentCache, Input, LiveSession, RATE_HZ, Seat, SessionError, Setup, Writer};
 use supple::task::Command;
 
 use crate::change::{Builder, Change};
@@ -185,7 +185,7 @@ impl Live {
         match self.world.apply(&input, &mut self.cache) {
             Ok(()) => self.write(tick, &input),
             // A reset has failed, maybe of one robot only.
-            Err(LiveSessionError::Physics(error)) => return Err(error.into()),
+            Err(SessionError::Physics(error)) => return Err(error.into()),
             Err(error) => self.publisher.notice(error.to_string()),
         }
         Ok(())

@@ -193,16 +193,17 @@ impl Beginnings {
                 Some((_, shared)) => Arc::clone(shared),
                 None => {
                     let shared = Arc::default();
-                    all.push((same, Arc::clone(&shared)));
+                    all.push((same.clone(), Arc::clone(&shared)));
                     shared
                 }
             }
         };
         // Trials of a condition begin within the same time of each other.
-        let until_s = first_s + PHASE_S;
+        let undisturbed = Script { duration_s: first_s + PHASE_S, ..same };
         let play = || {
-            Playback::beginning(script, &agent.config, agent.controller(), with_felt_forces, until_s)
-                .unwrap_or_default()
+            let playback = Playback::new(&undisturbed, &agent.config, agent.controller()).ok()?;
+            let playback = if with_felt_forces { playback.with_felt_forces().ok()? } else { playback };
+            playback.beginning()
         };
         match shared.get_or_init(play) {
             Some(beginning) => playback.trace_after(beginning),

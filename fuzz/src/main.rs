@@ -34,7 +34,7 @@ fn write_seeds(folder: &Path) {
     for (index, seed) in (TARGET.seeds)().iter().chain(&TARGET.corpus()).enumerate() {
         std::fs::write(folder.join(format!("seed{index}")), seed).expect("a file");
     }
-    let quoted = |word: &&str| -> String { word.bytes().map(|byte| format!("\\x{byte:02x}")).collect() };
+    let quoted = |word: &String| -> String { word.bytes().map(|byte| format!("\\x{byte:02x}")).collect() };
     let words: String = mutate::words(TARGET.name).iter().map(|word| format!("\"{}\"\n", quoted(word))).collect();
     std::fs::write(folder.with_extension("words"), words).expect("a file");
 }

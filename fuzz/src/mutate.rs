@@ -1,46 +1,24 @@
 //! Mutations that know words, numbers and lines, and the header of a safetensors file.
 
+use std::collections::BTreeMap;
+use std::sync::LazyLock;
+
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
 /// Longer inputs are cut.
 const MAX_LENGTH: usize = 1 << 16;
 
-/// Numbers on which programs trip.
-const NUMBERS: [&str; 22] = [
-    "0",
-    "-0",
-    "1",
-    "-1",
-    "2",
-    "0.5",
-    "1e-9",
-    "1e9",
-    "1e308",
-    "1e400",
-    "-1e308",
-    "nan",
-    ".nan",
-    "inf",
-    ".inf",
-    "-.inf",
-    "255",
-    "65536",
-    "2147483648",
-    "4294967296",
-    "18446744073709551616",
-    "0x10",
-];
+/// Words that the files of targets consist of, and numbers on which programs trip.
+static WORDS: LazyLock<BTreeMap<String, Vec<String>>> =
+    LazyLock::new(|| serde_json::from_str(include_str!("words.json")).expect("lists of words"));
 
 /// Returns the words that the files of a target consist of.
-pub fn words(target: &str) -> &'static [&'static str] {
+pub fn words(target: &str) -> &'static [String] {
     match target {
-        "config" | "scenario" => YAML_WORDS,
-        "checkpoint" | "policy" | "contact" | "session" => JSON_WORDS,
-        "onnx" => ONNX_WORDS,
-        "robot" => ROBOT_WORDS,
-        "mjcf" => XML_WORDS,
-        other => panic!("no words for target {other}"),
+        "config" | "scenario" => &WORDS["yaml"],
+        "checkpoint" | "policy" | "contact" | "session" => &WORDS["json"],
+        other => &WORDS[other],
     }
 }
 
@@ -55,18 +33,18 @@ pub fn mutated(target: &str, whole: &[u8], rng: &mut ChaCha8Rng) -> Vec<u8> {
     let framed = ["checkpoint", "policy", "contact"].contains(&target) && rng.random_range(0..4) > 0;
     match header(whole).filter(|_| framed) {
         Some((header, tensors)) => {
-            let header = mutate(&[header.to_vec()], words(target), rng);
+            let header = mutate(header, words(target), rng);
             [&(header.len() as u64).to_le_bytes()[..], &header, tensors].concat()
         }
-        None => mutate(&[whole.to_vec()], words(target), rng),
+        None => mutate(whole, words(target), rng),
     }
 }
 
-/// One of the corpus, changed in one to four places.
-fn mutate(corpus: &[Vec<u8>], words: &[&str], rng: &mut ChaCha8Rng) -> Vec<u8> {
-    let mut input = pick(corpus, rng).clone();
+/// An input, changed in one to four places.
+fn mutate(whole: &[u8], words: &[String], rng: &mut ChaCha8Rng) -> Vec<u8> {
+    let mut input = whole.to_vec();
     for _ in 0..rng.random_range(1..=4) {
-        change(&mut input, corpus, words, rng);
+        change(&mut input, whole, words, rng);
         input.truncate(MAX_LENGTH);
     }
     input
@@ -76,7 +54,7 @@ fn pick<'a, T>(from: &'a [T], rng: &mut ChaCha8Rng) -> &'a T {
     &from[rng.random_range(0..from.len())]
 }
 
-fn change(input: &mut Vec<u8>, corpus: &[Vec<u8>], words: &[&str], rng: &mut ChaCha8Rng) {
+fn change(input: &mut Vec<u8>, whole: &[u8], words: &[String], rng: &mut ChaCha8Rng) {
     let at = rng.random_range(0..=input.len());
     let until = (at + rng.random_range(0..=32)).min(input.len());
     match rng.random_range(0..10) {
@@ -89,20 +67,19 @@ fn change(input: &mut Vec<u8>, corpus: &[Vec<u8>], words: &[&str], rng: &mut Cha
             input.splice(at..at, piece.repeat(copies));
         }
         4 => {
-            let other = pick(corpus, rng);
-            let from = rng.random_range(0..=other.len());
-            let piece = &other[from..(from + rng.random_range(0..=64)).min(other.len())];
+            let from = rng.random_range(0..=whole.len());
+            let piece = &whole[from..(from + rng.random_range(0..=64)).min(whole.len())];
             input.splice(at..until, piece.iter().copied());
         }
         5 => drop(input.splice(at..at, pick(words, rng).bytes())),
         6 => replace_run(input, at, rng, u8::is_ascii_alphanumeric, words),
-        7 | 8 => replace_run(input, at, rng, |byte| byte.is_ascii_digit() || b".-+e".contains(byte), &NUMBERS),
+        7 | 8 => replace_run(input, at, rng, |byte| byte.is_ascii_digit() || b".-+e".contains(byte), &WORDS["numbers"]),
         _ => swap_lines(input, rng),
     }
 }
 
 /// Replaces the next run of bytes of a kind after `at`.
-fn replace_run(input: &mut Vec<u8>, at: usize, rng: &mut ChaCha8Rng, kind: impl Fn(&u8) -> bool, by: &[&str]) {
+fn replace_run(input: &mut Vec<u8>, at: usize, rng: &mut ChaCha8Rng, kind: impl Fn(&u8) -> bool, by: &[String]) {
     let Some(start) = (at..input.len()).find(|index| kind(&input[*index])) else { return };
     let end = (start..input.len()).find(|index| !kind(&input[*index])).unwrap_or(input.len());
     input.splice(start..end, pick(by, rng).bytes());
@@ -121,133 +98,3 @@ fn swap_lines(input: &mut Vec<u8>, rng: &mut ChaCha8Rng) {
     }
     *input = lines.join(&b'\n');
 }
-
-const YAML_WORDS: &[&str] = &[
-    ": ",
-    "\n",
-    "\n  ",
-    "- ",
-    "[",
-    "]",
-    "{",
-    "}",
-    "&a ",
-    "*a",
-    "<<: *a",
-    "!!binary ",
-    "!x ",
-    "null",
-    "~",
-    "true",
-    "|\n",
-    "\"",
-    "'",
-    "#",
-    "---\n",
-    "...\n",
-    "? ",
-    "base: compliant\n",
-    "base: ",
-    "\t",
-    "%YAML 1.1\n",
-    "ppo:\n",
-    "perlin",
-    "steps",
-];
-const JSON_WORDS: &[&str] = &[
-    "{", "}", "[", "]", "\"", "\\\"", ":", ",", "null", "true", "[]", "{}", "\\u0000", "F16", "F64", "format", "[0,0]",
-];
-const XML_WORDS: &[&str] = &[
-    "<body>",
-    "</body>",
-    "<geom type=\"box\" size=\"1 1 1\"/>",
-    "<geom type=\"mesh\" mesh=\"m\"/>",
-    "<freejoint/>",
-    "<joint type=\"ball\"/>",
-    "<joint/>",
-    "type=\"hfield\"",
-    "type=\"capsule\"",
-    "type=\"ellipsoid\"",
-    "fromto=\"0 0 0 1 1 1\"",
-    "euler=\"1 2 3\"",
-    "quat=\"0 0 0 0\"",
-    "mass=\"0\"",
-    "<inertial pos=\"0 0 0\" mass=\"1\" diaginertia=\"1 1 9\"/>",
-    "name=\"\"",
-    "class=\"x\"",
-    "childclass=\"main\"",
-    "<site/>",
-    "<camera/>",
-    "<light/>",
-    "<include file=\"f.xml\"/>",
-    "<!--",
-    "-->",
-    "&amp;",
-    "<![CDATA[",
-    "<composite type=\"grid\" count=\"3 3 1\" spacing=\"0.1\"/>",
-    "<replicate/>",
-    "mocap=\"true\"",
-    "<?xml?>",
-    "range=\"1 -1\"",
-    "limited=\"true\"",
-    "damping=\"1\"",
-    "armature=\"1\"",
-    "condim=\"6\"",
-    "solref=\"0 0\"",
-    "margin=\"1\"",
-    "/>",
-    "\"",
-    "=",
-];
-
-const ONNX_WORDS: &[&str] = &[
-    "Gemm",
-    "MatMul",
-    "Add",
-    "Elu",
-    "Tanh",
-    "Relu",
-    "Reshape",
-    "Concat",
-    "Slice",
-    "Gather",
-    "Split",
-    "Shape",
-    "Cast",
-    "axis",
-    "transB",
-    "alpha",
-    "obs",
-    "actions",
-    "\u{1}",
-    "\u{7f}",
-    "\u{0}\u{0}",
-];
-const ROBOT_WORDS: &[&str] = &[
-    "<body>",
-    "</body>",
-    "<geom type=\"sphere\" size=\"0.02\"/>",
-    "<joint axis=\"0 1 0\"/>",
-    "<freejoint/>",
-    "type=\"slide\"",
-    "type=\"ball\"",
-    "name=\"FR_foot\"",
-    "<motor joint=\"FR_hip\"/>",
-    "<position joint=\"FR_hip\" kp=\"1\"/>",
-    "<default class=\"x\"/>",
-    "class=\"x\"",
-    "<key name=\"home\" qpos=\"0 0 1\"/>",
-    "<tendon><fixed/></tendon>",
-    "<include file=\"r.xml\"/>",
-    "angle=\"degree\"",
-    "autolimits=\"true\"",
-    "range=\"1 -1\"",
-    "mjcf: r.xml\n",
-    "feet:\n",
-    "joints:\n",
-    "nominal_pose_rad: [0, 0, 0]\n",
-    "torque_limits_n_m: [1, 1, 1]\n",
-    "[",
-    "]",
-    "null",
-];

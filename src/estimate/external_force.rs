@@ -252,11 +252,6 @@ impl ForceObserver {
         })
     }
 
-    /// The forces after the last reading.
-    pub fn forces(&self) -> &ExternalForces {
-        &self.memory.forces
-    }
-
     /// Forgets all readings and forces; to be called after the robot has been put elsewhere.
     pub fn reset(&mut self) {
         self.memory = Memory::default();
@@ -391,11 +386,7 @@ impl ForceObserver {
 
 /// Refuses what is not finite.
 fn check(reading: &ForceReading, dt_s: f64) -> Result<(), SensorFault> {
-    if !(dt_s.is_finite() && dt_s > 0.0) {
-        return Err(SensorFault::Timestep { dt_s });
-    }
-    reading.imu.check()?;
-    reading.encoders.check()?;
+    super::check(Some(&reading.imu), Some(&reading.encoders), dt_s)?;
     finite(&reading.torques, |joint| format!("torque of {}", joint_name(joint)))?;
     finite(reading.world_from_base.coords.as_slice(), |index| format!("orientation {}", ["x", "y", "z", "w"][index]))
 }
@@ -507,14 +498,14 @@ mod tests {
         let robot = Robot::load("go1").unwrap();
         let (mut observer, good) = (ForceObserver::new(&robot).unwrap(), still(&robot));
         (0..9).for_each(|_| drop(observer.update(&good, DT_S)));
-        let before = *observer.forces();
+        let before = observer.forces;
         let (mut torque, mut turn) = (good, good);
         torque.torques[4] = f64::NAN;
         turn.world_from_base.as_mut_unchecked().coords.x = f64::INFINITY;
         for (bad, words) in [(torque, "torque of FL_thigh reads NaN"), (turn, "orientation x reads inf")] {
             let fault = observer.update(&bad, DT_S).unwrap_err().to_string();
             assert!(fault.contains(words), "{fault}");
-            assert_eq!(*observer.forces(), ExternalForces { doubt: Some(Doubt::Refused), ..before });
+            assert_eq!(observer.forces, ExternalForces { doubt: Some(Doubt::Refused), ..before });
             assert_eq!(observer.update(&good, DT_S).unwrap().doubt, Some(Doubt::Starting));
         }
         assert_eq!(observer.update(&good, DT_S).unwrap().doubt, before.doubt);
@@ -526,17 +517,15 @@ mod tests {
         let robot = Robot::load("go1").unwrap();
         let mut reading = still(&robot);
         reading.encoders.angles[5] = robot.joint_limits[5][1];
-        assert_eq!(
-            steady(&robot, &reading),
-            ExternalForces { doubt: Some(Doubt::JointLimit(5)), ..Default::default() }
-        );
+        let doubted = |doubt| ExternalForces { doubt: Some(doubt), ..Default::default() };
+        assert_eq!(steady(&robot, &reading), doubted(Doubt::JointLimit(5)));
         reading.encoders = EncoderReading { angles: robot.nominal_pose, rates: [1e200; JOINTS] };
-        assert_eq!(steady(&robot, &reading), ExternalForces { doubt: Some(Doubt::Overflow), ..Default::default() });
+        assert_eq!(steady(&robot, &reading), doubted(Doubt::Overflow));
         reading.encoders.rates = [0.0; JOINTS];
         // A straight knee.
         let mut robot = Robot::clone(&robot);
         robot.joint_limits = [[-9.0, 9.0]; JOINTS];
         reading.encoders.angles[5] = -0.01;
-        assert_eq!(steady(&robot, &reading), ExternalForces { doubt: Some(Doubt::Singular(1)), ..Default::default() });
+        assert_eq!(steady(&robot, &reading), doubted(Doubt::Singular(1)));
     }
 }

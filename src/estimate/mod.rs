@@ -41,17 +41,11 @@ pub enum SensorFault {
         found: f64,
     },
     /// The time since the last tick is not a valid time step.
-    #[error("the time since the last tick is {dt_s} s, expected a positive number")]
-    Timestep {
-        /// The invalid time step \[s\].
-        dt_s: f64,
-    },
-    /// A sensor has not delivered a first reading.
-    #[error("no reading of the {sensor} yet: an estimator starts with one of IMU and encoders each")]
-    Missing {
-        /// Name of the sensor: `IMU` or `encoders`.
-        sensor: &'static str,
-    },
+    #[error("the time since the last tick is {0} s, expected a positive number")]
+    Timestep(f64),
+    /// A sensor, `IMU` or `encoders`, has not delivered a first reading.
+    #[error("no reading of the {0} yet: an estimator starts with one of IMU and encoders each")]
+    Missing(&'static str),
     /// A sensor has been silent for longer than can be bridged.
     #[error(
         "no reading of the {sensor} for {silent_s:.3} s, at most {limit_s:.3} s can be bridged; start a new estimator when it is back"
@@ -202,8 +196,8 @@ impl Estimator {
         encoders: Option<&EncoderReading>,
         contacts: [bool; 4],
     ) -> Result<&Estimate, SensorFault> {
-        let imu = imu.ok_or(SensorFault::Missing { sensor: "IMU" })?;
-        let encoders = encoders.ok_or(SensorFault::Missing { sensor: "encoders" })?;
+        let imu = imu.ok_or(SensorFault::Missing("IMU"))?;
+        let encoders = encoders.ok_or(SensorFault::Missing("encoders"))?;
         let config = &self.config;
         let (gain, averaging) = (config.orientation_gain_per_s, config.orientation_averaging_s);
         let orientation = OrientationFilter::new(gain, averaging, &imu.specific_force);
@@ -293,7 +287,7 @@ fn summarise(robot: &Robot, orientation: &OrientationFilter, kalman: &KalmanFilt
 /// Checks that all inputs are finite, before any state changes.
 fn check(imu: Option<&ImuReading>, encoders: Option<&EncoderReading>, dt_s: f64) -> Result<(), SensorFault> {
     if !(dt_s.is_finite() && dt_s > 0.0) {
-        return Err(SensorFault::Timestep { dt_s });
+        return Err(SensorFault::Timestep(dt_s));
     }
     imu.map_or(Ok(()), ImuReading::check)?;
     encoders.map_or(Ok(()), EncoderReading::check)

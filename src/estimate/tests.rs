@@ -179,7 +179,7 @@ fn a_reading_that_is_not_a_number_is_named_and_changes_nothing() {
     let fault = estimator.update(Some(&truth.imu), Some(&encoders), truth.contacts, DT_S).unwrap_err();
     assert!(matches!(&fault, SensorFault::NotFinite { reading, .. } if reading == "rate of FL_thigh"), "{fault}");
     let fault = estimator.update(Some(&truth.imu), Some(&truth.encoders), truth.contacts, 0.0).unwrap_err();
-    assert_eq!(fault, SensorFault::Timestep { dt_s: 0.0 });
+    assert_eq!(fault, SensorFault::Timestep(0.0));
     assert_eq!(estimator, before);
     assert!(estimator.update(Some(&truth.imu), Some(&truth.encoders), truth.contacts, DT_S).is_ok());
 }
@@ -210,7 +210,7 @@ fn nothing_can_start_without_both_sensors() {
     let (_, truth) = standing();
     let mut estimator = Estimator::new(Robot::load("go1").unwrap(), EstimatorConfig::default());
     let fault = estimator.update(Some(&truth.imu), None, truth.contacts, DT_S).unwrap_err();
-    assert_eq!(fault, SensorFault::Missing { sensor: "encoders" });
+    assert_eq!(fault, SensorFault::Missing("encoders"));
     assert!(estimator.estimate().is_none());
 }
 

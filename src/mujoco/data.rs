@@ -3,15 +3,16 @@
 use std::ptr::NonNull;
 
 use mujoco_sys as sys;
+use nalgebra::Isometry3;
 
 use super::error::{BufferKind, Error, Result, StateKind};
 use super::model::{Inertial, Model, Object};
-use super::{EMPTY_MESSAGE, check};
+use super::{EMPTY_MESSAGE, check, unit};
 
 /// A contact point found by MuJoCo's last position stage.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Contact {
-    /// Index among the contacts, for [`Data::contact_force`].
+    /// Index among the contacts, for `contact_force`.
     pub index: usize,
     /// The two geometries, ordered by MuJoCo's shape types (plane, height field, sphere, capsule, …, box).
     pub geoms: [usize; 2],
@@ -45,9 +46,15 @@ impl Drop for Data {
     }
 }
 
-/// The fields of mjData as slices.
+/// The model, the fields of mjData as slices, and the parameters of the model that an episode may change.
 impl Data {
-    getters! {
+    methods! {
+        /// The model.
+        fn model(&self) -> &Model = &self.model;
+        /// Simulation time \[s\].
+        fn time_s(&self) -> f64 = self.raw().time;
+        /// Number of contact points.
+        fn contact_count(&self) -> usize = self.raw().ncon as usize;
         /// Generalised positions, shape (nq). A free joint's are position (world) \[m\] and quaternion (w, x, y, z).
         fn positions(&self) -> &[f64] = self.slice(self.raw().qpos, self.model.nq());
         /// [`Data::positions`], writable.
@@ -94,6 +101,18 @@ impl Data {
         fn tendon_lengths(&self) -> &[f64] = self.slice(self.raw().ten_length, self.model.count(Object::Tendon));
         /// Rates of the lengths of tendons as of the last first half-step, shape (ntendon). [m/s]
         fn tendon_velocities(&self) -> &[f64] = self.slice(self.raw().ten_velocity, self.model.count(Object::Tendon));
+        /// Sets gravity [m/s²], world frame: see [`Model::set_gravity`].
+        fn set_gravity(&mut self, gravity: [f64; 3]) = self.model.set_gravity(gravity);
+        /// Sets the sliding friction coefficient of a geometry: see [`Model::set_sliding_friction`].
+        fn set_sliding_friction(&mut self, geom: usize, friction: f64) = self.model.set_sliding_friction(geom, friction);
+        /// Gives a body another mass and centre of mass: see `Model::set_inertial`.
+        fn set_inertial(&mut self, body: usize, nominal: &Inertial, mass_kg: f64, offset_m: [f64; 3]) -> Result<()> =
+            self.model.set_inertial(body, nominal, mass_kg, offset_m);
+        /// Sets the losses of a hinge: see [`Model::set_losses`].
+        fn set_losses(&mut self, joint: usize, friction: f64, damping: f64) =
+            self.model.set_losses(joint, friction, damping);
+        /// Sets the maximum length of a tendon \[m\]: see `Model::set_longest_tendon`.
+        fn set_longest_tendon(&mut self, tendon: usize, length_m: f64) = self.model.set_longest_tendon(tendon, length_m);
     }
 
     /// The first numbers of a field of this data.
@@ -130,51 +149,6 @@ impl Data {
         self.model.bytes() + raw.nbuffer as usize + unsafe { sys::supple_working_bytes(raw) } as usize
     }
 
-    /// Returns the model.
-    pub fn model(&self) -> &Model {
-        &self.model
-    }
-
-    /// Sets gravity [m/s²], world frame; see [`Model::set_gravity`].
-    pub fn set_gravity(&mut self, gravity: [f64; 3]) {
-        self.model.set_gravity(gravity);
-    }
-
-    /// Sets the sliding friction coefficient of a geometry; see [`Model::set_sliding_friction`].
-    ///
-    /// # Panics
-    /// There is no geometry of this id.
-    pub fn set_sliding_friction(&mut self, geom: usize, friction: f64) {
-        self.model.set_sliding_friction(geom, friction);
-    }
-
-    /// Gives a body another mass and centre of mass; see [`Model::set_inertial`].
-    ///
-    /// # Errors
-    /// Less mass than nothing would remain.
-    ///
-    /// # Panics
-    /// There is no body of this id.
-    pub fn set_inertial(&mut self, body: usize, nominal: &Inertial, mass_kg: f64, offset_m: [f64; 3]) -> Result<()> {
-        self.model.set_inertial(body, nominal, mass_kg, offset_m)
-    }
-
-    /// Sets the losses of a hinge; see [`Model::set_losses`].
-    ///
-    /// # Panics
-    /// There is no joint of this id.
-    pub fn set_losses(&mut self, joint: usize, friction: f64, damping: f64) {
-        self.model.set_losses(joint, friction, damping);
-    }
-
-    /// Sets the maximum length of a tendon \[m\]; see [`Model::set_longest_tendon`].
-    ///
-    /// # Panics
-    /// There is no tendon of this id.
-    pub fn set_longest_tendon(&mut self, tendon: usize, length_m: f64) {
-        self.model.set_longest_tendon(tendon, length_m);
-    }
-
     /// Shrinks the contact buffer to `contacts` points.
     #[cfg(test)]
     pub(crate) fn limit_contacts(&mut self, contacts: i32) {
@@ -190,13 +164,8 @@ impl Data {
         unsafe { self.raw.as_ref() }
     }
 
-    /// Returns the simulation time \[s\].
-    pub fn time_s(&self) -> f64 {
-        self.raw().time
-    }
-
     /// Sets the simulation time \[s\].
-    pub fn set_time_s(&mut self, time_s: f64) {
+    pub(crate) fn set_time_s(&mut self, time_s: f64) {
         // SAFETY: the pointer is valid and `self` is borrowed mutably.
         unsafe { self.raw.as_mut() }.time = time_s;
     }
@@ -291,9 +260,11 @@ impl Data {
         Err(Error::BufferFull { buffer: BufferKind::Constraints, size: self.model.njmax() })
     }
 
-    /// Returns the number of contact points.
-    pub fn contact_count(&self) -> usize {
-        self.raw().ncon as usize
+    /// Returns the pose of a body in the world.
+    pub(crate) fn body_pose(&self, body: usize) -> Isometry3<f64> {
+        let place: [f64; 3] = std::array::from_fn(|k| self.body_positions()[3 * body + k]);
+        let turn = std::array::from_fn(|k| self.body_quaternions()[4 * body + k]);
+        Isometry3::from_parts(place.into(), unit(turn))
     }
 
     /// Iterates over the contact points of the last [`Data::step1`] that take part in the dynamics.
@@ -309,10 +280,7 @@ impl Data {
 
     /// Returns the force of a contact on its second geometry, world frame \[N\]. Valid after [`Data::step2`] and before
     /// the next [`Data::step1`].
-    ///
-    /// # Panics
-    /// There is no contact of this index.
-    pub fn contact_force(&self, index: usize) -> [f64; 3] {
+    pub(crate) fn contact_force(&self, index: usize) -> [f64; 3] {
         let contact = &self.slice(self.raw().contact, self.contact_count())[index];
         // The address is negative for contacts without a force.
         let address = usize::try_from(contact.efc_address).unwrap_or(usize::MAX);
@@ -337,7 +305,7 @@ impl Data {
 
     /// Returns the force with which a tendon at its maximum length pulls its ends together \[N\]; zero while it is
     /// slack. Valid after [`Data::step2`] and before the next [`Data::step1`].
-    pub fn tendon_limit_force(&self, tendon: usize) -> f64 {
+    pub(crate) fn tendon_limit_force(&self, tendon: usize) -> f64 {
         let raw = self.raw();
         let rows = raw.nefc as usize;
         let (kinds, ids) = (self.slice(raw.efc_type, rows), self.slice(raw.efc_id, rows));
@@ -348,33 +316,16 @@ impl Data {
         (0..rows).filter(is_its_limit).map(|row| forces[row]).sum()
     }
 
-    /// Returns the velocity of a geometry's centre, world axes [m/s].
-    ///
-    /// # Panics
-    /// There is no geometry of this id.
-    pub fn geom_velocity(&self, geom: usize) -> [f64; 3] {
-        assert!(geom < self.model.count(Object::Geom), "geom {geom} out of range");
-        self.velocity_of(sys::mjOBJ_GEOM as i32, geom)
-    }
-
-    /// Returns the velocity of a site, world axes [m/s].
-    ///
-    /// # Panics
-    /// There is no site of this id.
-    pub fn site_velocity(&self, site: usize) -> [f64; 3] {
-        assert!(site < self.model.count(Object::Site), "site {site} out of range");
-        self.velocity_of(sys::mjOBJ_SITE as i32, site)
-    }
-
-    /// Returns the velocity of an element whose id was checked.
-    fn velocity_of(&self, kind: i32, id: usize) -> [f64; 3] {
+    /// Returns the velocity of a geometry's centre or a site, world axes [m/s].
+    pub(crate) fn velocity(&self, kind: Object, id: usize) -> [f64; 3] {
+        assert!(id < self.model.count(kind), "{kind:?} {id} out of range");
         let (mut velocity, mut message) = ([0.0; 6], EMPTY_MESSAGE);
         // SAFETY: model and data belong together, the id was checked, the result holds 6 numbers (angular, linear).
         let failed = unsafe {
             sys::supple_object_velocity(
                 self.model.as_ptr(),
                 self.raw.as_ptr(),
-                kind,
+                kind.known().0 as i32,
                 id as i32,
                 velocity.as_mut_ptr(),
                 0,

@@ -65,11 +65,8 @@ pub enum Error {
         message: String,
     },
     /// No picture can be drawn: OpenGL is missing, or the picture's size is out of range.
-    #[error("cannot draw a picture: {message}")]
-    Renderer {
-        /// The cause and its remedy.
-        message: String,
-    },
+    #[error("cannot draw a picture: {0}")]
+    Renderer(String),
     /// An input of the simulation is NaN or infinite, and was not passed to MuJoCo.
     #[error("{what} is {found}, expected a finite number: whatever controls the robot is at fault, not the physics")]
     Input {

@@ -8,13 +8,6 @@ module is the only one that holds `unsafe` code.
 */
 #![allow(unsafe_code)]
 
-/// Declares getters, a line each.
-macro_rules! getters {
-    ($($(#[$doc:meta])* fn $name:ident($($given:tt)*) -> $type:ty = $value:expr;)*) => {
-        $($(#[$doc])* pub fn $name($($given)*) -> $type { $value })*
-    };
-}
-
 mod data;
 mod error;
 mod library;
@@ -27,10 +20,12 @@ pub use error::{BufferKind, Error, Result, StateKind};
 pub use library::library_file;
 pub use model::{Actuator, Geom, GeomContact, GeomShape, Inertial, Model, Object};
 pub use render::{Camera, LARGEST_PICTURE, MOST_MARKS, Mark, MarkShape, Renderer};
-pub use sizes::{SizeError, check_sizes};
+pub(crate) use sizes::{SizeError, check_sizes};
 
 use std::ffi::CStr;
 use std::sync::OnceLock;
+
+use nalgebra::{Quaternion, UnitQuaternion};
 
 /// The MuJoCo version these bindings were written for, as `mj_version` counts.
 pub const VERSION: i32 = mujoco_sys::mjVERSION_HEADER as i32;
@@ -55,6 +50,11 @@ fn initialise() -> Result<()> {
 pub fn release_memory() {
     // SAFETY: no preconditions; the C library locks what it walks through.
     unsafe { mujoco_sys::supple_release_memory() };
+}
+
+/// Returns the rotation of a quaternion as MuJoCo has it.
+pub(crate) fn unit([w, x, y, z]: [f64; 4]) -> UnitQuaternion<f64> {
+    UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z))
 }
 
 /// Buffer into which the shim writes MuJoCo's message.

@@ -5,10 +5,10 @@ use std::ptr::NonNull;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use mujoco_sys as sys;
-use nalgebra::{Quaternion, UnitQuaternion};
+use nalgebra::UnitQuaternion;
 
 use super::error::{Error, Result};
-use super::{EMPTY_MESSAGE, check, initialise, sizes, text as text_of};
+use super::{EMPTY_MESSAGE, check, initialise, sizes, text as text_of, unit};
 use crate::util::xml;
 
 /// A kind of named model element.
@@ -34,7 +34,7 @@ pub enum Object {
 
 impl Object {
     /// Returns MuJoCo's constant of the kind and its name in messages.
-    fn known(self) -> (u32, &'static str) {
+    pub(super) fn known(self) -> (u32, &'static str) {
         match self {
             Object::Body => (sys::mjOBJ_BODY, "body"),
             Object::Joint => (sys::mjOBJ_JOINT, "joint"),
@@ -110,7 +110,7 @@ pub struct Actuator {
 impl Actuator {
     /// Returns the torques that the actuator can give, if they are limited \[N·m\]: its limits of the force, and for a motor
     /// also those of the control, whichever is tighter.
-    pub fn torque_range(&self) -> Option<[f64; 2]> {
+    pub(crate) fn torque_range(&self) -> Option<[f64; 2]> {
         let scaled = |[low, high]: [f64; 2], by: f64| [(low * by).min(high * by), (low * by).max(high * by)];
         let force = self.force_range;
         let control = self.control_range.filter(|_| !self.has_bias).map(|range| scaled(range, self.gain));
@@ -155,7 +155,7 @@ unsafe impl Send for Model {}
 // SAFETY: as above.
 unsafe impl Sync for Model {}
 
-/// The mass of a body, from which [`Model::set_inertial`] deviates.
+/// The mass of a body, from which `Model::set_inertial` deviates.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Inertial {
     /// Mass of the body \[kg\].
@@ -175,9 +175,9 @@ impl Drop for Model {
     }
 }
 
-/// Sizes, whole arrays, and the values of single elements. The length of an array is the size that mjmodel.h documents for it.
+/// Sizes, options, whole arrays, and the values of single elements. The length of an array is the size that mjmodel.h documents for it.
 impl Model {
-    getters! {
+    methods! {
         /// Number of generalised positions.
         fn nq(&self) -> usize = self.raw().nq as usize;
         /// Number of generalised velocities.
@@ -240,6 +240,21 @@ impl Model {
         fn site_size(&self, id: usize) -> [f64; 3] = self.row(self.raw().site_size, self.raw().nsite, id);
         /// Where a site is, in its body's frame \[m\].
         fn site_position(&self, id: usize) -> [f64; 3] = self.row(self.raw().site_pos, self.raw().nsite, id);
+        /// True if a joint is a hinge.
+        fn is_hinge(&self, id: usize) -> bool =
+            self.slice(self.raw().jnt_type, self.raw().njnt)[id] == sys::mjJNT_HINGE as i32;
+        /// True if a joint is a free joint, which leaves its body free in space.
+        fn is_free(&self, id: usize) -> bool =
+            self.slice(self.raw().jnt_type, self.raw().njnt)[id] == sys::mjJNT_FREE as i32;
+        /// Index of a body among the mocap bodies; `None` if it is none.
+        fn mocap_index(&self, id: usize) -> Option<usize> =
+            usize::try_from(self.slice(self.raw().body_mocapid, self.raw().nbody)[id]).ok();
+        /// Physics step \[s\].
+        fn timestep_s(&self) -> f64 = self.raw().opt.timestep;
+        /// Gravity [m/s²], world frame.
+        fn gravity(&self) -> [f64; 3] = self.raw().opt.gravity;
+        /// Sets gravity [m/s²], world frame. A tilted gravity is a slope.
+        fn set_gravity(&mut self, gravity: [f64; 3]) = self.raw_mut().opt.gravity = gravity;
     }
 }
 
@@ -368,11 +383,6 @@ impl Model {
         unsafe { CStr::from_ptr(name) }.to_str().unwrap_or("")
     }
 
-    /// Returns the physics step \[s\].
-    pub fn timestep_s(&self) -> f64 {
-        self.raw().opt.timestep
-    }
-
     /// Returns true if friction cones are elliptic, false if they are pyramids.
     pub(crate) fn has_elliptic_cones(&self) -> bool {
         self.raw().opt.cone == sys::mjCONE_ELLIPTIC as i32
@@ -382,16 +392,6 @@ impl Model {
     pub(crate) fn collide_pairs_only(&mut self) {
         // SAFETY: the model is valid and `self` is borrowed mutably.
         unsafe { sys::supple_collide_pairs_only(self.raw_mut()) };
-    }
-
-    /// Returns gravity [m/s²], world frame.
-    pub fn gravity(&self) -> [f64; 3] {
-        self.raw().opt.gravity
-    }
-
-    /// Sets gravity [m/s²], world frame. A tilted gravity is a slope.
-    pub fn set_gravity(&mut self, gravity: [f64; 3]) {
-        self.raw_mut().opt.gravity = gravity;
     }
 
     /// Sets the sliding friction coefficient of a geometry and of the contact pairs that name it, which have their own
@@ -416,10 +416,7 @@ impl Model {
     }
 
     /// Sets the priority of a geometry: in a contact, the geometry with the higher priority sets friction and softness.
-    ///
-    /// # Panics
-    /// There is no geometry of this id.
-    pub fn set_priority(&mut self, geom: usize, priority: i32) {
+    pub(crate) fn set_priority(&mut self, geom: usize, priority: i32) {
         assert!(geom < self.count(Object::Geom), "geom {geom} out of range");
         // SAFETY: geom_priority holds a number for each geom; the id was checked.
         unsafe { *self.raw_mut().geom_priority.add(geom) = priority };
@@ -439,21 +436,9 @@ impl Model {
     }
 
     /// Adds mass to a body \[kg\], spread as its own is: its inertia grows in proportion, and its centre of mass stays.
-    ///
-    /// # Errors
-    /// Less mass than nothing would remain.
-    ///
-    /// # Panics
-    /// There is no body of this id.
-    pub fn add_mass(&mut self, body: usize, mass_kg: f64) -> Result<()> {
-        let own_kg = self.body_mass()[body];
-        let factor = 1.0 + mass_kg / own_kg;
-        if !(factor > 0.0 && factor.is_finite()) {
-            let what = format!("mass to add to {}, of {own_kg:.2} kg", self.name(Object::Body, body));
-            return Err(Error::Input { what, found: format!("{mass_kg} kg") });
-        }
-        let parent = |body: usize| self.slice(self.raw().body_parentid, self.raw().nbody)[body] as usize;
-        let carriers: Vec<usize> = std::iter::successors(Some(body), |it| (*it > 0).then(|| parent(*it))).collect();
+    pub(crate) fn add_mass(&mut self, body: usize, mass_kg: f64) -> Result<()> {
+        let factor = self.mass_factor(body, self.body_mass()[body], mass_kg)?;
+        let carriers: Vec<usize> = self.carriers(body).collect();
         let raw = self.raw_mut();
         // SAFETY: the arrays hold one mass, one subtree's mass and three moments of inertia for each body.
         unsafe {
@@ -464,37 +449,44 @@ impl Model {
         Ok(())
     }
 
+    /// Returns the factor of a body's mass and inertia if `more_kg` is added to `own_kg`.
+    fn mass_factor(&self, body: usize, own_kg: f64, more_kg: f64) -> Result<f64> {
+        let factor = 1.0 + more_kg / own_kg;
+        let what = || format!("mass to add to {}, of {own_kg:.2} kg", self.name(Object::Body, body));
+        let refused = || Error::Input { what: what(), found: format!("{more_kg} kg") };
+        Some(factor).filter(|factor| *factor > 0.0 && factor.is_finite()).ok_or_else(refused)
+    }
+
+    /// Iterates over a body and those that carry it, up to the world.
+    fn carriers(&self, body: usize) -> impl Iterator<Item = usize> {
+        std::iter::successors(Some(body), |it| (*it > 0).then(|| self.body_parent(*it)))
+    }
+
     /// Returns the mass of a body and of the subtrees that it belongs to.
     ///
     /// # Panics
     /// There is no body of this id.
     pub fn inertial(&self, body: usize) -> Inertial {
         let raw = self.raw();
-        let parent = |body: usize| self.slice(raw.body_parentid, raw.nbody)[body] as usize;
-        let carriers = std::iter::successors(Some(body), |it| (*it > 0).then(|| parent(*it)));
         let subtrees = self.slice(raw.body_subtreemass, raw.nbody);
         Inertial {
             mass_kg: self.body_mass()[body],
             moments: self.body_inertia(body),
             centre_m: self.body_centre_of_mass(body),
-            subtrees_kg: carriers.map(|carrier| (carrier, subtrees[carrier])).collect(),
+            subtrees_kg: self.carriers(body).map(|carrier| (carrier, subtrees[carrier])).collect(),
         }
     }
 
     /// Gives a body more or less mass than `nominal` \[kg\], spread as its own is, and displaces its centre of mass in the
     /// body's frame \[m\]. Zero restores the nominal bits.
-    ///
-    /// # Errors
-    /// Less mass than nothing would remain.
-    ///
-    /// # Panics
-    /// There is no body of this id.
-    pub fn set_inertial(&mut self, body: usize, nominal: &Inertial, mass_kg: f64, offset_m: [f64; 3]) -> Result<()> {
-        let factor = 1.0 + mass_kg / nominal.mass_kg;
-        if !(factor > 0.0 && factor.is_finite()) {
-            let what = format!("mass to add to {}, of {:.2} kg", self.name(Object::Body, body), nominal.mass_kg);
-            return Err(Error::Input { what, found: format!("{mass_kg} kg") });
-        }
+    pub(crate) fn set_inertial(
+        &mut self,
+        body: usize,
+        nominal: &Inertial,
+        mass_kg: f64,
+        offset_m: [f64; 3],
+    ) -> Result<()> {
+        let factor = self.mass_factor(body, nominal.mass_kg, mass_kg)?;
         assert!(body < self.count(Object::Body), "body {body} out of range");
         let geoms: Vec<usize> = (0..self.count(Object::Geom)).filter(|geom| self.geom_body(*geom) == body).collect();
         let sites: Vec<usize> = (0..self.count(Object::Site)).filter(|site| self.site_body(*site) == body).collect();
@@ -518,28 +510,10 @@ impl Model {
     }
 
     /// Sets the maximum length of a limited tendon \[m\].
-    ///
-    /// # Panics
-    /// There is no tendon of this id.
-    pub fn set_longest_tendon(&mut self, tendon: usize, length_m: f64) {
+    pub(crate) fn set_longest_tendon(&mut self, tendon: usize, length_m: f64) {
         assert!(tendon < self.count(Object::Tendon), "tendon {tendon} out of range");
         // SAFETY: tendon_range holds 2 numbers for each tendon; the id was checked.
         unsafe { *self.raw_mut().tendon_range.add(2 * tendon + 1) = length_m };
-    }
-
-    /// Returns the index of a body among the mocap bodies; `None` if it is none.
-    pub fn mocap_index(&self, body: usize) -> Option<usize> {
-        usize::try_from(self.slice(self.raw().body_mocapid, self.raw().nbody)[body]).ok()
-    }
-
-    /// Returns true if a joint is a hinge.
-    pub fn is_hinge(&self, joint: usize) -> bool {
-        self.slice(self.raw().jnt_type, self.raw().njnt)[joint] == sys::mjJNT_HINGE as i32
-    }
-
-    /// Returns true if a joint is a free joint, which leaves its body free in space.
-    pub fn is_free(&self, joint: usize) -> bool {
-        self.slice(self.raw().jnt_type, self.raw().njnt)[joint] == sys::mjJNT_FREE as i32
     }
 
     /// Returns the effect of an actuator.
@@ -575,7 +549,7 @@ impl Model {
     }
 
     /// Returns the corners of a mesh in the frame of a geometry that has its shape, shape (n, 3) \[m\].
-    pub fn mesh_vertices(&self, mesh: usize) -> &[f32] {
+    pub(crate) fn mesh_vertices(&self, mesh: usize) -> &[f32] {
         let raw = self.raw();
         let start = 3 * self.slice(raw.mesh_vertadr, raw.nmesh)[mesh] as usize;
         let length = 3 * self.slice(raw.mesh_vertnum, raw.nmesh)[mesh] as usize;
@@ -599,9 +573,8 @@ impl Model {
     }
 
     /// Returns the rotation from a body's frame to its parent's frame.
-    pub fn body_rotation(&self, body: usize) -> UnitQuaternion<f64> {
-        let [w, x, y, z] = self.row(self.raw().body_quat, self.raw().nbody, body);
-        UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z))
+    pub(crate) fn body_rotation(&self, body: usize) -> UnitQuaternion<f64> {
+        unit(self.row(self.raw().body_quat, self.raw().nbody, body))
     }
 
     /// Returns all data for drawing a geometry.
@@ -668,7 +641,7 @@ impl Model {
     }
 
     /// Like [`Model::height_field`], but writable before the first step.
-    pub fn height_field_mut(&mut self, id: usize) -> &mut [f32] {
+    pub(crate) fn height_field_mut(&mut self, id: usize) -> &mut [f32] {
         let start = self.slice(self.raw().hfield_adr, self.raw().nhfield)[id] as usize;
         let (rows, columns, _) = self.height_field_size(id);
         let raw = self.raw_mut();

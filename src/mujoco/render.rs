@@ -98,8 +98,9 @@ impl Renderer {
         let [width, height] = size;
         if size.iter().any(|length| !(1..=LARGEST_PICTURE).contains(length)) {
             let largest = LARGEST_PICTURE;
-            let message = format!("its size is {width}x{height} px, expected 1x1 to {largest}x{largest}");
-            return Err(Error::Renderer { message });
+            return Err(Error::Renderer(format!(
+                "its size is {width}x{height} px, expected 1x1 to {largest}x{largest}"
+            )));
         }
         let data = Data::new(model)?;
         let (mut raw, mut message) = (std::ptr::null_mut(), EMPTY_MESSAGE);
@@ -110,7 +111,7 @@ impl Renderer {
             sys::supple_new_renderer(&mut raw, model, width as i32, height as i32, marks, message.as_mut_ptr())
         };
         drop(alone);
-        let failure = || Error::Renderer { message: text(&message) };
+        let failure = || Error::Renderer(text(&message));
         let raw = NonNull::new(raw).ok_or_else(failure)?;
         // From here on it is deleted when it is dropped.
         let upside_down = vec![0; 3 * width * height];
@@ -162,7 +163,7 @@ impl Renderer {
             )
         };
         if failed != 0 {
-            return Err(Error::Renderer { message: text(&message) });
+            return Err(Error::Renderer(text(&message)));
         }
         Ok(self.upside_down.chunks(3 * self.size[0]).rev().flatten().copied().collect())
     }

@@ -43,27 +43,15 @@ const PER_ELEMENT: (&str, f64) = ("nuser_", 100.0);
 
 /// The reason why an MJCF tree is kept from MuJoCo.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum SizeError {
-    /// An attribute is beyond its limit.
+pub(crate) enum SizeError {
     #[error("{attribute} is '{found}', expected at most {limit}")]
-    Beyond {
-        /// Name of the attribute.
-        attribute: String,
-        /// The value that was found.
-        found: String,
-        /// Largest product of the numbers in it.
-        limit: f64,
-    },
-    /// A file is included that is not given with the text.
+    Beyond { attribute: String, found: String, limit: f64 },
     #[error("it includes '{0}', which is not given with it")]
     Include(String),
 }
 
 /// Checks that an MJCF tree does not ask for more memory or time than any scene needs.
-///
-/// # Errors
-/// An attribute is beyond its limit.
-pub fn check_sizes(element: &Element) -> Result<(), SizeError> {
+pub(crate) fn check_sizes(element: &Element) -> Result<(), SizeError> {
     check_copied(element, 1.0)
 }
 
@@ -88,10 +76,7 @@ fn check_copied(element: &Element, mut copies: f64) -> Result<(), SizeError> {
 }
 
 /// Checks that an MJCF tree includes no other files than the given ones.
-///
-/// # Errors
-/// Another file is included.
-pub fn check_includes(element: &Element, given: &[&str]) -> Result<(), SizeError> {
+pub(crate) fn check_includes(element: &Element, given: &[&str]) -> Result<(), SizeError> {
     if let ("include", Some(file)) = (element.name.as_str(), element.get("file"))
         && !given.contains(&file)
     {

@@ -11,22 +11,10 @@ use rand_distr::{Distribution, StandardNormal};
 /// The reason why tensors are not the weights of a network.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum NetworkError {
-    /// A tensor is missing.
     #[error("there is no tensor `{0}`")]
     Missing(String),
-    /// The shape of a tensor does not fit its values or the other tensors.
     #[error("tensor `{name}` should have shape {expected:?}, but has shape {found:?} and {elements} elements")]
-    Shape {
-        /// Name of the tensor.
-        name: String,
-        /// The shape that fits the others.
-        expected: Vec<usize>,
-        /// The shape that was found.
-        found: Vec<usize>,
-        /// Number of its values.
-        elements: usize,
-    },
-    /// A tensor has an unknown name.
+    Shape { name: String, expected: Vec<usize>, found: Vec<usize>, elements: usize },
     #[error("tensor `{0}` belongs to no layer of the policy or the value function")]
     Unknown(String),
 }
@@ -106,10 +94,7 @@ impl Mlp {
     }
 
     /// Creates a network from the tensors of [`Mlp::tensors`] with an empty prefix, in any order.
-    ///
-    /// # Errors
-    /// A tensor is missing, or its shape does not fit the others or the number of inputs or outputs.
-    pub fn from_tensors(
+    pub(crate) fn from_tensors(
         tensors: impl IntoIterator<Item = (String, Vec<usize>, Vec<f32>)>,
         inputs: usize,
         outputs: usize,
@@ -166,10 +151,7 @@ impl ActorCritic {
     }
 
     /// Creates the networks from the tensors of [`Self::tensors`], in any order.
-    ///
-    /// # Errors
-    /// A tensor is missing, has an unknown name, or does not fit the others.
-    pub fn from_tensors(
+    pub(crate) fn from_tensors(
         tensors: impl IntoIterator<Item = (String, Vec<usize>, Vec<f32>)>,
     ) -> Result<Self, NetworkError> {
         let mut tensors = by_name(tensors);

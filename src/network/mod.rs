@@ -9,6 +9,7 @@ mod layers;
 mod packed;
 pub(crate) mod panel;
 
-pub use layers::{ActorCritic, Layer, Mlp, NetworkError};
+pub(crate) use layers::NetworkError;
+pub use layers::{ActorCritic, Layer, Mlp};
 pub(crate) use packed::BLOCK;
 pub use packed::{PackedMlp, Scratch};

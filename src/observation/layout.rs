@@ -42,10 +42,7 @@ impl Layout {
     }
 
     /// Creates the layout of the entries that a critic sees in addition to the policy's; they may be privileged.
-    ///
-    /// # Errors
-    /// An entry is invalid, or there are none or too many numbers.
-    pub fn for_critic(entries: &[Observed], nominal: &NominalValues) -> Result<Self, LayoutError> {
+    pub(crate) fn for_critic(entries: &[Observed], nominal: &NominalValues) -> Result<Self, LayoutError> {
         Self::checked(entries, &[0], None, std::array::from_fn(|joint| joint), nominal, true)
     }
 
@@ -122,51 +119,29 @@ impl Layout {
         Ok(layout)
     }
 
-    /// Returns the length of the observation.
-    pub fn length(&self) -> usize {
-        self.sources.len()
-    }
-
-    /// Returns the blocks in order; all of them are repeated for each age in [`Layout::history`].
-    pub fn blocks(&self) -> &[ObservationBlock] {
-        &self.blocks
-    }
-
-    /// Returns the ages of the repetitions of the whole observation \[policy steps\].
-    pub fn history(&self) -> &[u32] {
-        &self.history
-    }
-
-    /// Returns the index in Supple's order of each of the policy's joints.
-    pub fn order(&self) -> &[usize; JOINTS] {
-        &self.order
-    }
-
-    /// Returns the offset of each number, in its unit, shape (length).
-    pub fn offset(&self) -> &[f64] {
-        &self.offset
-    }
-
-    /// Returns the scale of each number, applied after the offset, shape (length).
-    pub fn scale(&self) -> &[f64] {
-        &self.scale
-    }
-
-    /// Returns the limit of each scaled number, infinite for none, shape (length).
-    pub fn clip(&self) -> &[f64] {
-        &self.clip
-    }
-
-    /// Returns true if any number is limited.
-    pub fn clips(&self) -> bool {
-        self.clip.iter().any(|clip| clip.is_finite())
+    methods! {
+        /// Returns the length of the observation.
+        fn length(&self) -> usize = self.sources.len();
+        /// Returns the blocks in order; all of them are repeated for each age in [`Layout::history`].
+        fn blocks(&self) -> &[ObservationBlock] = &self.blocks;
+        /// Returns the ages of the repetitions of the whole observation \[policy steps\].
+        fn history(&self) -> &[u32] = &self.history;
+        /// Returns the index in Supple's order of each of the policy's joints.
+        fn order(&self) -> &[usize; JOINTS] = &self.order;
+        /// Returns the offset of each number, in its unit, shape (length).
+        fn offset(&self) -> &[f64] = &self.offset;
+        /// Returns the scale of each number, applied after the offset, shape (length).
+        fn scale(&self) -> &[f64] = &self.scale;
+        /// Returns the limit of each scaled number, infinite for none, shape (length).
+        fn clip(&self) -> &[f64] = &self.clip;
+        /// Returns true if any number is limited.
+        fn clips(&self) -> bool = self.clip.iter().any(|clip| clip.is_finite());
+        /// Returns the number of values measured in a policy step.
+        fn frame_width(&self) -> usize = self.blocks.iter().map(|block| block.width).sum();
     }
 
     /// Returns the same layout with other offsets and scales, shape (length) each.
-    ///
-    /// # Errors
-    /// Offset or scale has another length, or a number that is not finite.
-    pub fn with_normaliser(mut self, offset: Vec<f64>, scale: Vec<f64>) -> Result<Self, LayoutError> {
+    pub(crate) fn with_normaliser(mut self, offset: Vec<f64>, scale: Vec<f64>) -> Result<Self, LayoutError> {
         let (found, expected) = ([offset.len(), scale.len()], self.length());
         if found != [expected; 2] {
             return Err(LayoutError::Normaliser { found, expected });
@@ -288,11 +263,6 @@ impl Layout {
             let (clock, out) = ((block.frequency_hz, &block.values[..]), &mut frame[block.start..][..block.width]);
             block.quantity.measure(&block.axes, clock, &self.order, now, out);
         }
-    }
-
-    /// Returns the number of values measured in a policy step.
-    pub fn frame_width(&self) -> usize {
-        self.blocks.iter().map(|block| block.width).sum()
     }
 
     /// Returns the number of frames that the history needs.

@@ -35,25 +35,16 @@ pub enum AgentError {
     },
     /// The path is an ONNX file without a description.
     #[error(
-        "{name} does not say what it sees and what its outputs mean: describe it in a YAML file that names it, as \
+        "{0} does not say what it sees and what its outputs mean: describe it in a YAML file that names it, as \
          examples/policies/rsl_rl.yaml does, and give that"
     )]
-    Undescribed {
-        /// Path of the ONNX file.
-        name: String,
-    },
+    Undescribed(String),
     /// A compliance is commanded where the policy does not play.
-    #[error("{name}: a compliance is commanded of a policy that plays; expected its name without '@'")]
-    Commanded {
-        /// The requested name.
-        name: String,
-    },
+    #[error("{0}: a compliance is commanded of a policy that plays; expected its name without '@'")]
+    Commanded(String),
     /// The policy is external.
-    #[error("{name} is an external policy: this works with policy files of Supple")]
-    External {
-        /// The name that was given.
-        name: String,
-    },
+    #[error("{0} is an external policy: this works with policy files of Supple")]
+    External(String),
 }
 
 /// A policy with the robot, rates, gains and latency that it runs with.
@@ -99,10 +90,7 @@ impl Agent {
     }
 
     /// Like [`Agent::load`], but leaves a calibration next to the policy unread.
-    ///
-    /// # Errors
-    /// A file cannot be read or is invalid.
-    pub fn load_uncalibrated(path: &Path) -> Result<Self, AgentError> {
+    pub(crate) fn load_uncalibrated(path: &Path) -> Result<Self, AgentError> {
         let mut agent = if files::is_yaml(path) { external::load(path)? } else { Agent::from(Policy::load(path)?) };
         agent.find_robot(path.parent().unwrap_or(Path::new("")));
         Ok(agent)
@@ -111,13 +99,8 @@ impl Agent {
     /// Creates an agent from an inference that is in no policy file. `sha256` identifies it wherever results are stored
     /// by policy.
     pub fn external(inference: Inference, config: Config, sha256: String) -> Self {
-        Agent {
-            config,
-            sha256,
-            calibration: None,
-            commanded_compliance: None,
-            kind: AgentKind::External(Box::new(inference)),
-        }
+        let kind = AgentKind::External(Box::new(inference));
+        Agent { config, sha256, calibration: None, commanded_compliance: None, kind }
     }
 
     /// Resolves the path of a robot that does not ship: relative to the policy's folder, or as the run's configuration

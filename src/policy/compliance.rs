@@ -57,11 +57,8 @@ pub enum ComplianceError {
         high: f64,
     },
     /// The policy does not observe the velocity command, which compliance control changes.
-    #[error("compliance control needs '{name}', which this policy does not observe")]
-    NotSeen {
-        /// Name of the quantity.
-        name: String,
-    },
+    #[error("compliance control needs '{0}', which this policy does not observe")]
+    NotSeen(String),
     /// The policy has not been calibrated.
     #[error("how far it yields has not been measured: run `policy calibrate` with it first")]
     NotCalibrated,
@@ -69,26 +66,15 @@ pub enum ComplianceError {
 
 /// The reason why a calibration is refused.
 #[derive(Debug, thiserror::Error)]
-pub enum CalibrationFileError {
-    /// The text is not the JSON of a calibration.
+pub(crate) enum CalibrationFault {
     #[error("{0}: run `policy calibrate` again")]
     Json(#[from] serde_json::Error),
-    /// The calibration was measured with another policy.
     #[error("it is of another policy: run `policy calibrate` again")]
     OtherPolicy,
-    /// There are too few points, they do not rise, or a number is not positive.
     #[error("expected two points or more, rising, and positive numbers: run `policy calibrate` again")]
     Values,
-    /// A number is out of the range of those that `policy calibrate` measures.
     #[error("its {key} has {found:?}, expected {expected}: run `policy calibrate` again")]
-    Range {
-        /// The key.
-        key: &'static str,
-        /// The number that was found.
-        found: f64,
-        /// The valid range.
-        expected: &'static str,
-    },
+    Range { key: &'static str, found: f64, expected: &'static str },
 }
 
 /// Splits `baseline@0.03` into the policy's name and the commanded compliance [m/s/N], if there is one. The path of a file or
@@ -123,14 +109,11 @@ impl PolicyCalibration {
 
     /// Reads the calibration next to a policy file, if there is one; `None` if it was measured with another version of
     /// the policy.
-    ///
-    /// # Errors
-    /// The file cannot be read, or is not a valid calibration.
-    pub fn load_for(policy: &Path, sha256: &str) -> Result<Option<Self>, FileError> {
+    pub(crate) fn load_for(policy: &Path, sha256: &str) -> Result<Option<Self>, FileError> {
         let path = Self::path(policy);
         match files::read_bounded(&path, MAX_BYTES) {
             Ok(bytes) => {
-                let found = Self::parse(&bytes).map_err(FileError::of(WHAT, &path))?;
+                let found = Self::parse(&bytes, &path)?;
                 if found.sha256 != sha256 {
                     return Ok(None);
                 }
@@ -142,39 +125,33 @@ impl PolicyCalibration {
     }
 
     /// Parses and checks a calibration.
-    ///
-    /// # Errors
-    /// The text is not a calibration, its values are invalid, or it belongs to another policy.
-    pub fn from_json(path: &Path, text: &str, sha256: &str) -> Result<Self, FileError> {
-        let found = Self::parse(text.as_bytes()).map_err(FileError::of(WHAT, path))?;
+    pub(crate) fn from_json(path: &Path, text: &str, sha256: &str) -> Result<Self, FileError> {
+        let found = Self::parse(text.as_bytes(), path)?;
         found.checked(sha256).map_err(FileError::of(WHAT, path))
     }
 
-    fn parse(bytes: &[u8]) -> Result<Self, CalibrationFileError> {
-        Ok(serde_json::from_slice(bytes)?)
+    fn parse(bytes: &[u8], path: &Path) -> Result<Self, FileError> {
+        serde_json::from_slice(bytes).map_err(CalibrationFault::from).map_err(FileError::of(WHAT, path))
     }
 
     /// Returns `self` if it belongs to this policy and its values are valid.
-    ///
-    /// # Errors
-    /// The calibration belongs to another policy, or its values are invalid.
-    pub fn checked(self, sha256: &str) -> Result<Self, CalibrationFileError> {
+    pub(crate) fn checked(self, sha256: &str) -> Result<Self, CalibrationFault> {
         let points = &self.points;
         let numbers = points.iter().flat_map(|point| [point.commanded].into_iter().chain(point.measured));
         if self.sha256 != sha256 {
-            return Err(CalibrationFileError::OtherPolicy);
+            return Err(CalibrationFault::OtherPolicy);
         }
         let rising = points.windows(2).all(|pair| pair[1].commanded > pair[0].commanded);
         let positive = numbers.chain([self.mass_kg]).all(|it| it.is_finite() && it > 0.0);
         if points.len() < 2 || !rising || !positive {
-            return Err(CalibrationFileError::Values);
+            return Err(CalibrationFault::Values);
         }
         for (key, values, limits, expected) in [
             ("own_m_s_per_n", self.own_m_s_per_n, -1.0..=1.0, "-1 to 1 m/s/N"),
             ("tracking", self.tracking, 0.5..=1.5, "0.5 to 1.5"),
         ] {
             if let Some(found) = values.into_iter().find(|value| !limits.contains(value)) {
-                return Err(CalibrationFileError::Range { key, found, expected });
+                return Err(CalibrationFault::Range { key, found, expected });
             }
         }
         Ok(self)
@@ -228,7 +205,7 @@ impl CompliantObservations {
         let names = agent.inference().layout.names();
         let place = |name: &str| {
             let wanted = names.iter().position(|known| known == name);
-            wanted.ok_or_else(|| ComplianceError::NotSeen { name: name.to_owned() })
+            wanted.ok_or_else(|| ComplianceError::NotSeen(name.to_owned()))
         };
         Ok(CompliantObservations {
             mass: calibration.virtual_mass(&agent.config),
@@ -249,7 +226,7 @@ impl CompliantObservations {
 }
 
 /// A calibrated policy with the virtual mass that makes it yield as commanded.
-pub struct CompliantController<'a> {
+pub(crate) struct CompliantController<'a> {
     policy: Box<dyn Controller + 'a>,
     mass: VirtualMass,
     change: [f64; 2],

@@ -41,13 +41,10 @@ const GOLDEN_TOLERANCE: f64 = 1e-5;
 /// Description of a block of the observation, for other programs.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct BlockInfo {
-    /// The observed quantity.
     quantity: String,
     /// Age of the measurement \[policy steps\].
     age: u32,
-    /// Number of values.
     length: usize,
-    /// Unit of the values.
     unit: String,
 }
 
@@ -188,34 +185,25 @@ impl Policy {
         policy
     }
 
-    /// Returns the layout of the observation.
-    pub fn layout(&self) -> &Layout {
-        &self.inference.layout
-    }
-
-    /// Returns the joint targets at action zero \[rad\].
-    pub fn nominal_pose(&self) -> &Joints {
-        &self.inference.action.nominal_pose
-    }
-
-    /// Returns the change of the joint target per unit of action \[rad\].
-    pub fn scale_rad(&self) -> f64 {
-        self.inference.action.scale_rad[0]
-    }
-
-    /// Returns the inference from states to joint targets.
-    pub fn inference(&self) -> &Inference {
-        &self.inference
+    methods! {
+        /// Returns the layout of the observation.
+        fn layout(&self) -> &Layout = &self.inference.layout;
+        /// Returns the joint targets at action zero \[rad\].
+        fn nominal_pose(&self) -> &Joints = &self.inference.action.nominal_pose;
+        /// Returns the change of the joint target per unit of action \[rad\].
+        fn scale_rad(&self) -> f64 = self.inference.action.scale_rad[0];
+        /// Returns the inference from states to joint targets.
+        fn inference(&self) -> &Inference = &self.inference;
+        /// The observation has another length.
+        fn joint_targets(&self, observation: &[f64], buffers: &mut InferenceBuffers) -> Joints =
+            self.inference.joint_targets(observation, buffers);
+        /// Returns the SHA-256 of the policy file, which identifies it.
+        fn sha256(&self) -> &str = &self.sha256;
     }
 
     /// Returns the joint targets \[rad\] for an observation in physical units, shape (length of the layout).
     ///
     /// # Panics
-    /// The observation has another length.
-    pub fn joint_targets(&self, observation: &[f64], buffers: &mut InferenceBuffers) -> Joints {
-        self.inference.joint_targets(observation, buffers)
-    }
-
     /// Serialises the policy to the bytes of a policy file.
     ///
     /// # Errors
@@ -245,11 +233,6 @@ impl Policy {
         };
         // Plain structs of finite numbers and strings: serialising them cannot fail.
         serde_json::to_string(&metadata).unwrap_or_default()
-    }
-
-    /// Returns the SHA-256 of the policy file, which identifies it.
-    pub fn sha256(&self) -> &str {
-        &self.sha256
     }
 
     /// Writes the policy file atomically.
@@ -402,12 +385,12 @@ fn block_infos(layout: &Layout) -> Vec<BlockInfo> {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+pub(crate) mod tests {
     use super::*;
     use crate::policy::onnx::OnnxNetwork;
 
     /// A policy on the Go1 that was not trained.
-    pub(in crate::policy) fn untrained(network: &ActorCritic, config: Config) -> Policy {
+    pub(crate) fn untrained(network: &ActorCritic, config: Config) -> Policy {
         let layout = config.layout().unwrap();
         let provenance = Provenance {
             config_name: "compliant".into(),
@@ -500,10 +483,7 @@ pub(super) mod tests {
     fn golden_pairs_catch_a_wrong_weight_in_every_layer() {
         let bytes = policy().to_bytes().unwrap();
         let (tensors, _) = tensors::deserialize(&bytes).unwrap();
-        for name in ["0", "1", "2"]
-            .into_iter()
-            .flat_map(|layer| [format!("policy.{layer}.weight"), format!("policy.{layer}.bias")])
-        {
+        for name in [0, 1, 2].iter().flat_map(|k| ["weight", "bias"].map(|kind| format!("policy.{k}.{kind}"))) {
             let first = tensors.tensor(&name).unwrap().data().as_ptr() as usize - bytes.as_ptr() as usize;
             let mut damaged = bytes.clone();
             damaged[first..first + 4].copy_from_slice(&4.0_f32.to_le_bytes());

@@ -11,7 +11,7 @@ use crate::observation::{Command, Layout, LayoutError, ObservationInput, Observe
 use crate::robot::{JOINTS, Joints, RobotState, joint_target};
 
 /// The meaning of a network's output.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Meaning {
     /// Joint target = nominal pose + scale · output.

@@ -10,7 +10,7 @@ mod agent;
 pub mod compliance;
 mod controller;
 pub mod external;
-mod file;
+pub(crate) mod file;
 mod inference;
 pub mod onnx;
 mod pytorch;

@@ -40,7 +40,7 @@ pub fn find(name: &str) -> Result<Agent, AgentError> {
 pub fn find_uncalibrated(name: &str) -> Result<Agent, AgentError> {
     if let Some(file) = file_of(name) {
         if is_onnx(&file) {
-            return Err(AgentError::Undescribed { name: name.to_owned() });
+            return Err(AgentError::Undescribed(name.to_owned()));
         }
         return Agent::load_uncalibrated(&file);
     }
@@ -102,9 +102,9 @@ fn position(names: &[&str], name: &str) -> Option<usize> {
 pub fn find_ours(name: &str) -> Result<Policy, AgentError> {
     let agent = find(name)?;
     if agent.commanded_compliance.is_some() {
-        return Err(AgentError::Commanded { name: name.to_owned() });
+        return Err(AgentError::Commanded(name.to_owned()));
     }
-    agent.into_policy().ok_or_else(|| AgentError::External { name: name.to_owned() })
+    agent.into_policy().ok_or_else(|| AgentError::External(name.to_owned()))
 }
 
 fn known() -> String {

@@ -34,36 +34,9 @@ pub struct UpdateStatistics {
 /// The reason why an update stopped. Earlier steps are kept, except after an error of candle.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum UpdateFault {
-    /// A slice of the batch does not fit the others.
-    #[error("{name} of the batch should have {expected} elements, but has {actual}")]
-    Shape {
-        /// Name of the slice.
-        name: &'static str,
-        /// Expected length.
-        expected: usize,
-        /// Length that was given.
-        actual: usize,
-    },
-    /// A minibatch cannot be divided among the shards.
-    #[error("the permutation of epoch {epoch} leaves {rows} samples for {shards} shards, which do not divide them")]
-    Shards {
-        /// Index of the epoch, counted from zero.
-        epoch: usize,
-        /// Number of samples in the minibatch.
-        rows: usize,
-        /// Number of shards on this rank.
-        shards: usize,
-    },
-    /// A permutation contains a sample that is not in the batch.
-    #[error("the permutation of epoch {epoch} names sample {sample} of only {samples}")]
-    Sample {
-        /// Index of the epoch, counted from zero.
-        epoch: usize,
-        /// Index of the sample that is not in the batch.
-        sample: u32,
-        /// Number of samples in the batch.
-        samples: usize,
-    },
+    /// The slices of the batch, the permutations of its samples and the shards do not fit.
+    #[error("{0}")]
+    Misfit(String),
     /// The loss, the divergence or the gradient is infinite or NaN.
     #[error("minibatch {minibatch} of epoch {epoch} is not finite: {summary:?}")]
     NotFinite {
@@ -184,17 +157,22 @@ pub fn check(
         ("advantages", batch.advantages, samples),
     ] {
         if slice.len() != expected {
-            return Err(UpdateFault::Shape { name, expected, actual: slice.len() });
+            let found = slice.len();
+            let problem = format!("{name} of the batch should have {expected} elements, but has {found}");
+            return Err(UpdateFault::Misfit(problem));
         }
     }
     for (epoch, rows) in permutations.iter().enumerate() {
         if let Some(&sample) = rows.iter().find(|&&row| row as usize >= samples) {
-            return Err(UpdateFault::Sample { epoch, sample, samples });
+            let problem = format!("the permutation of epoch {epoch} names sample {sample} of only {samples}");
+            return Err(UpdateFault::Misfit(problem));
         }
         let shards = settings.shards / ranks.count();
         let mut sizes = rows.chunks(settings.minibatch_size / ranks.count()).map(<[u32]>::len);
         if let Some(rows) = sizes.find(|rows| rows % shards != 0) {
-            return Err(UpdateFault::Shards { epoch, rows, shards });
+            return Err(UpdateFault::Misfit(format!(
+                "the permutation of epoch {epoch} leaves {rows} samples for {shards} shards, which do not divide them"
+            )));
         }
     }
     Ok(())

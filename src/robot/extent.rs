@@ -1,8 +1,8 @@
 //! Dimensions of a trunk, from its collision shapes.
 
-use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use nalgebra::Vector3;
 
-use crate::mujoco::{Geom, GeomShape, Model};
+use crate::mujoco::{Geom, GeomShape, Model, Object, unit};
 use crate::util::numbers::maximum;
 
 /// Distances from the trunk's origin to its ends, base frame \[m\].
@@ -20,8 +20,7 @@ impl Extent {
     /// Measures a body; the distances are zero if none of its geometries collides.
     pub(super) fn of(model: &Model, body: usize) -> Self {
         let is_shape = |geom: &usize| model.geom_body(*geom) == body && model.geom_contact(*geom).collides();
-        let shapes: Vec<Geom> =
-            (0..model.count(crate::mujoco::Object::Geom)).filter(is_shape).map(|geom| model.geom(geom)).collect();
+        let shapes: Vec<Geom> = (0..model.count(Object::Geom)).filter(is_shape).map(|geom| model.geom(geom)).collect();
         let reach = |shape: &Geom, direction: Vector3<f64>| {
             Vector3::from(shape.position).dot(&direction) + half_width(shape, direction)
         };
@@ -39,8 +38,7 @@ impl Extent {
 
 /// Returns half of a shape's width along a unit vector of its body's frame \[m\].
 fn half_width(shape: &Geom, direction: Vector3<f64>) -> f64 {
-    let [w, x, y, z] = shape.quaternion;
-    let along = UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z)).inverse() * direction;
+    let along = unit(shape.quaternion).inverse() * direction;
     let size = Vector3::from(shape.size);
     match shape.shape {
         GeomShape::Sphere => size.x,

@@ -2,15 +2,15 @@
 
 use nalgebra::DMatrix;
 
-use super::{JOINTS, Joints, Robot, RobotError, joint_name};
-use crate::mujoco::{Data, Model, Object};
+use super::{JOINTS, Joints, Robot, joint_name};
+use crate::mujoco::{Data, Model, Object, Result};
 
 /// Returns the least inertia that any combination of the joints feels in a pose, with the trunk free and the feet in the air
 /// [kg·m²].
 ///
 /// # Errors
 /// MuJoCo fails.
-pub fn least_inertia(robot: &Robot, pose: &Joints) -> Result<f64, RobotError> {
+pub fn least_inertia(robot: &Robot, pose: &Joints) -> Result<f64> {
     let mut model = Model::from_xml(&[("robot.xml", robot.mjcf())])?;
     model.set_gravity([0.0; 3]);
     let mut joints = [(0, 0); JOINTS];

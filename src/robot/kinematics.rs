@@ -32,14 +32,8 @@ pub struct FootSphere {
     pub position: [f64; 3],
     /// Radius \[m\].
     pub radius_m: f64,
-    /// Id of the geometry, or of the site.
-    centre: Centre,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Centre {
-    Geom(usize),
-    Site(usize),
+    /// The geometry, or the site.
+    centre: (Object, usize),
 }
 
 impl FootSphere {
@@ -51,28 +45,24 @@ impl FootSphere {
         if let Ok(site) = model.id(Object::Site, &sole_name(leg)) {
             let (body, position) = (model.site_body(site), model.site_position(site));
             let radius_m = model.site_size(site)[0];
-            return Ok(FootSphere { body, position, radius_m, centre: Centre::Site(site) });
+            return Ok(FootSphere { body, position, radius_m, centre: (Object::Site, site) });
         }
         let geom = model.id(Object::Geom, &format!("{}_foot", LEGS[leg]))?;
         let foot = model.geom(geom);
-        Ok(FootSphere { body: foot.body, position: foot.position, radius_m: foot.size[0], centre: Centre::Geom(geom) })
+        let centre = (Object::Geom, geom);
+        Ok(FootSphere { body: foot.body, position: foot.position, radius_m: foot.size[0], centre })
     }
 
     /// Returns the centre after the last [`Data::step1`], world frame \[m\].
     pub fn centre(&self, data: &Data) -> [f64; 3] {
-        let (all, id) = match self.centre {
-            Centre::Geom(id) => (data.geom_positions(), id),
-            Centre::Site(id) => (data.site_positions(), id),
-        };
+        let (kind, id) = self.centre;
+        let all = if kind == Object::Site { data.site_positions() } else { data.geom_positions() };
         std::array::from_fn(|axis| all[3 * id + axis])
     }
 
     /// Returns the velocity of the centre, world axes [m/s].
     pub fn velocity(&self, data: &Data) -> [f64; 3] {
-        match self.centre {
-            Centre::Geom(id) => data.geom_velocity(id),
-            Centre::Site(id) => data.site_velocity(id),
-        }
+        data.velocity(self.centre.0, self.centre.1)
     }
 }
 

@@ -22,7 +22,7 @@ use std::time::SystemTime;
 use nalgebra::Vector3;
 
 pub use describe::joint_table;
-pub use error::RobotError;
+use error::RobotError;
 pub use extent::Extent;
 use import::Imported;
 pub use import::isolate_imports;

@@ -5,9 +5,8 @@ other. Its compliance on an axis is the slope of the velocity, minus that withou
 */
 
 use super::Playback;
-use super::catalog::{Leash, Scenario, ScriptError, Task, defaults};
+use super::catalog::{Leash, Scenario, ScriptError, Task, with_parameters};
 use super::metrics;
-use crate::config::ConfigError;
 use crate::mujoco;
 use crate::observation::Command;
 use crate::policy::Agent;
@@ -47,9 +46,6 @@ pub enum CalibrationError {
     /// The script of a walk is invalid.
     #[error(transparent)]
     Script(#[from] ScriptError),
-    /// The scenario's default parameters are invalid.
-    #[error(transparent)]
-    Config(#[from] ConfigError),
     /// MuJoCo fails during a walk.
     #[error(transparent)]
     Physics(#[from] mujoco::Error),
@@ -148,7 +144,7 @@ fn compliance(agent: &Agent, commanded: Option<f64>, threads: usize) -> Result<O
 /// Measures the mean velocity minus the commanded one at the end of each probe, forward and left, in the heading at the
 /// start [m/s]; `None` where the robot fell.
 fn offsets(agent: &Agent, probes: &[Probe], threads: usize) -> Result<Vec<Option<[f64; 2]>>, CalibrationError> {
-    let base: Leash = defaults("leash")?;
+    let base: Leash = with_parameters("leash", "{}").map_err(ScriptError::from)?;
     let offset = &|probe: &Probe| -> Result<Option<[f64; 2]>, CalibrationError> {
         let Command { forward, left, yaw, compliance, .. } = probe.command;
         let duration_s = AT_S + FOR_S;

@@ -12,16 +12,13 @@ pub(super) type ForceMemory = (Memory, ExactSensors);
 /// A [`ForceObserver`] with error-free sensors that feed it unless it gets [`Senses`]. As a [`StepObserver`] it takes the
 /// true state.
 #[derive(Debug)]
-pub struct ForceSense {
+pub(crate) struct ForceSense {
     observer: ForceObserver,
     exact: ExactSensors,
 }
 
 impl ForceSense {
     /// Starts in the present state.
-    ///
-    /// # Errors
-    /// MuJoCo cannot compile the robot alone.
     pub fn new(sim: &Sim, conditions: &Conditions) -> mujoco::Result<Self> {
         Ok(ForceSense { observer: ForceObserver::new(sim.robot())?, exact: ExactSensors::new(sim, conditions) })
     }
@@ -29,9 +26,6 @@ impl ForceSense {
     /// Updates the forces with a physics step; to be called from [`StepObserver::forces`], once for each step. `torques` are
     /// those of the motors in the step [N·m]. With `senses`, their last readings count, so call [`Senses::read`] first;
     /// without, the true state.
-    ///
-    /// # Errors
-    /// A reading is not finite, or MuJoCo fails; the forces are then in doubt.
     pub fn read(
         &mut self,
         data: &Data,
@@ -52,11 +46,6 @@ impl ForceSense {
     /// Returns the mean of the forces since the last call, as [`ForceObserver::take_mean`].
     pub fn take_mean(&mut self) -> ExternalForces {
         self.observer.take_mean()
-    }
-
-    /// The forces after the last physics step.
-    pub fn forces(&self) -> &ExternalForces {
-        self.observer.forces()
     }
 
     /// Returns what is remembered between physics steps.
@@ -86,7 +75,7 @@ impl StepObserver for ForceSense {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+    use nalgebra::{UnitQuaternion, Vector3};
     use rand::{Rng, RngExt};
 
     use super::*;
@@ -108,10 +97,8 @@ mod tests {
 
     /// Sets a force on body `body` that acts at `point`, world frame.
     fn apply(data: &mut Data, body: usize, point: Vector3<f64>, force: Vector3<f64>) {
-        let [w, x, y, z] = <[f64; 4]>::try_from(&data.body_quaternions()[4 * body..][..4]).unwrap();
-        let turn = UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z));
-        let origin = Vector3::from_column_slice(&data.body_positions()[3 * body..][..3]);
-        let centre = origin + turn * Vector3::from(data.model().body_centre_of_mass(body));
+        let pose = data.body_pose(body);
+        let centre = pose.translation.vector + pose.rotation * Vector3::from(data.model().body_centre_of_mass(body));
         let applied = &mut data.applied_forces_mut()[6 * body..][..6];
         applied[..3].copy_from_slice(force.as_slice());
         applied[3..].copy_from_slice((point - centre).cross(&force).as_slice());

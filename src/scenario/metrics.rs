@@ -93,7 +93,12 @@ pub fn whole_window(trace: &Trace, from_s: f64, until_s: f64) -> Option<impl Ite
 
 /// Returns the mean of a quantity over frames, if there are any.
 pub fn mean<'a>(frames: impl Iterator<Item = &'a Frame>, of: impl Fn(&Frame) -> f64) -> Option<f64> {
-    let (sum, count) = frames.fold((0.0, 0_u32), |(sum, count), frame| (sum + of(frame), count + 1));
+    average(frames.map(of))
+}
+
+/// Returns the mean of numbers, if there are any.
+pub(super) fn average(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let (sum, count) = values.fold((0.0, 0_u32), |(sum, count), value| (sum + value, count + 1));
     (count > 0).then(|| sum / f64::from(count))
 }
 
@@ -280,7 +285,7 @@ pub fn displacement_off_course(trace: &Trace, direction: [f64; 2], from_s: f64, 
 
 /// Returns the largest value of a quantity.
 pub fn largest<'a>(frames: impl Iterator<Item = &'a Frame>, of: impl Fn(&Frame) -> f64) -> Option<f64> {
-    frames.map(of).fold(None, |largest: Option<f64>, value| Some(largest.map_or(value, |old| maximum(old, value))))
+    frames.map(of).reduce(maximum)
 }
 
 /// Returns the times at which the trunk passes two lines across the course (world frame, x), if it passes both \[s\].

@@ -9,7 +9,7 @@ state. [`session`] is for robots driven live. Policies never see a scenario in t
 pub mod calibration;
 pub mod catalog;
 pub mod estimation;
-pub mod force_sense;
+pub(crate) mod force_sense;
 pub mod metrics;
 mod playback;
 pub mod senses;

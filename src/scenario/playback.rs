@@ -1,8 +1,6 @@
 //! Playback: plays a script with a controller, one policy step at a time. Start with `Playback::try_step`. Commands, pushes, pulls
 //! and resets during a playback serve robots that are driven live; they take effect with the next step.
 
-use std::borrow::Cow;
-
 use super::force_sense::{ForceMemory, ForceSense};
 use super::senses::Senses;
 use super::{Goal, Script, Sensing, SensingError};
@@ -64,8 +62,8 @@ struct Moment {
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub struct Playback<'a> {
-    script: Cow<'a, Script>,
-    config: Cow<'a, Config>,
+    script: Script,
+    config: Config,
     controller: Box<dyn Controller + 'a>,
     world: World,
     /// The present command; starts as the script's.
@@ -100,23 +98,7 @@ impl<'a> Playback<'a> {
     ///
     /// # Errors
     /// The scene does not compile, or MuJoCo fails in the starting state.
-    pub fn new(script: &'a Script, config: &'a Config, controller: Box<dyn Controller + 'a>) -> mujoco::Result<Self> {
-        Self::of(Cow::Borrowed(script), Cow::Borrowed(config), controller)
-    }
-
-    /// Like [`Playback::new`], but takes ownership of script and configuration.
-    ///
-    /// # Errors
-    /// The scene does not compile, or MuJoCo fails in the starting state.
-    pub fn owned(script: Script, config: Config, controller: Box<dyn Controller + 'a>) -> mujoco::Result<Self> {
-        Self::of(Cow::Owned(script), Cow::Owned(config), controller)
-    }
-
-    fn of(
-        script: Cow<'a, Script>,
-        config: Cow<'a, Config>,
-        controller: Box<dyn Controller + 'a>,
-    ) -> mujoco::Result<Self> {
+    pub fn new(script: &Script, config: &Config, controller: Box<dyn Controller + 'a>) -> mujoco::Result<Self> {
         let mut world =
             World::new(&script.scene, &config.simulation, config.episode.min_height_m, config.reward.clone())?;
         world.begin(script.conditions, &controller.rest(), script.disturbances.iter().cloned())?;
@@ -134,11 +116,11 @@ impl<'a> Playback<'a> {
             fallen_since: None,
             clock_is_held: false,
             failed: false,
-            goal_from: goal_body(&script, world.sim())?,
+            goal_from: goal_body(script, world.sim())?,
             passed_goal_since: None,
             world,
-            script,
-            config,
+            script: script.clone(),
+            config: config.clone(),
         };
         if playback.command.compliance.is_some() || playback.controller.needs_felt_force() {
             playback.with_felt_forces()
@@ -202,38 +184,24 @@ impl<'a> Playback<'a> {
         trace
     }
 
-    /// Plays the undisturbed beginning of a script for `duration_s` \[s\], for scripts that differ in their disturbances alone;
-    /// `None` if something happens in it.
-    ///
-    /// # Errors
-    /// The same as those of [`Playback::new`].
-    pub fn beginning(
-        script: &Script,
-        config: &'a Config,
-        controller: Box<dyn Controller + 'a>,
-        with_felt_forces: bool,
-        duration_s: f64,
-    ) -> mujoco::Result<Option<Beginning>> {
-        let script = Script { disturbances: Vec::new(), duration_s, ..script.clone() };
-        let mut playback = Self::of(Cow::Owned(script), Cow::Borrowed(config), controller)?;
-        if with_felt_forces {
-            playback = playback.with_felt_forces()?;
-        }
+    /// Plays to the end and returns what other scripts go on from that are the same but for their disturbances; this one has
+    /// none. `None` if something happens nevertheless.
+    pub fn beginning(mut self) -> Option<Beginning> {
         let mut beginning = Beginning::default();
-        for _ in 0..playback.length {
+        for _ in 0..self.length {
             let moment = Moment {
-                state: playback.world.state().clone(),
-                world: playback.world.save(),
-                forces: playback.force_sense.as_mut().map(ForceSense::save),
-                felt: [playback.felt, playback.true_force],
+                state: self.world.state().clone(),
+                world: self.world.save(),
+                forces: self.force_sense.as_mut().map(ForceSense::save),
+                felt: [self.felt, self.true_force],
             };
             beginning.moments.push(moment);
-            match playback.next() {
+            match self.next() {
                 Some(PlaybackStep { frame: Some(frame), events }) if events.is_empty() => beginning.frames.push(frame),
-                _ => return Ok(None),
+                _ => return None,
             }
         }
-        Ok(Some(beginning))
+        Some(beginning)
     }
 
     /// Plays to the end and returns the same trace as [`Playback::trace`], but takes from `beginning` what comes before the

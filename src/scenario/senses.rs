@@ -47,11 +47,8 @@ pub enum SensingError {
     #[error(transparent)]
     Contact(#[from] FileError),
     /// The contact network was trained for another physics rate.
-    #[error("the physics run at {found_hz} Hz, the contact network at {RATE_HZ} Hz: sense the true state instead")]
-    Rate {
-        /// Rate of the scene's physics \[Hz\].
-        found_hz: f64,
-    },
+    #[error("the physics run at {0} Hz, the contact network at {RATE_HZ} Hz: sense the true state instead")]
+    Rate(f64),
     /// The first reading is invalid.
     #[error("the sensors do not start: {0}")]
     Start(#[from] SensorFault),
@@ -95,7 +92,7 @@ impl ExactSensors {
 
 /// The sensors of a robot and its state estimator.
 #[derive(Debug)]
-pub struct Senses {
+pub(crate) struct Senses {
     robot: Arc<Robot>,
     sensors: Sensors,
     rng: ChaCha8Rng,
@@ -122,9 +119,6 @@ pub struct Senses {
 impl Senses {
     /// Switches on the sensors of a robot that stands at rest and holds `target` \[rad\]. Noise is drawn from the seed's
     /// stream for sensors.
-    ///
-    /// # Errors
-    /// The physics rate does not suit the contact network, or the first reading is invalid.
     pub fn new(
         network: ContactNetwork,
         noise: SensorNoise,
@@ -135,7 +129,7 @@ impl Senses {
     ) -> Result<Self, SensingError> {
         let timestep_s = sim.data().model().timestep_s();
         if (timestep_s * RATE_HZ - 1.0).abs() > 1e-6 {
-            return Err(SensingError::Rate { found_hz: 1.0 / timestep_s });
+            return Err(SensingError::Rate(1.0 / timestep_s));
         }
         let mut rng = stream(seed, Purpose::Sensor, 0, 0);
         let state = sim.state();
@@ -180,7 +174,7 @@ impl Senses {
 
     /// Returns the last readings, valid or not, and the estimated orientation, for a
     /// [`ForceObserver`](crate::estimate::external_force::ForceObserver). `torques` are those of the last physics step [N·m].
-    pub fn force_reading(&self, torques: &Joints) -> ForceReading {
+    pub(crate) fn force_reading(&self, torques: &Joints) -> ForceReading {
         let (imu, encoders) = self.felt.unwrap_or_else(|| unreachable!("senses start with a reading"));
         ForceReading { imu, encoders, torques: *torques, world_from_base: self.estimate().world_from_base }
     }
@@ -205,9 +199,6 @@ impl Senses {
     }
 
     /// Returns a sensor fault that began since the last call, once until all readings are valid again.
-    ///
-    /// # Errors
-    /// A sensor has been silent for longer than can be bridged.
     pub fn fault(&mut self) -> Result<Option<SensorFault>, SensorFault> {
         match &self.end {
             Some(end) => Err(end.clone()),
@@ -216,9 +207,6 @@ impl Senses {
     }
 
     /// Returns the estimated state.
-    ///
-    /// # Panics
-    /// Never: there is an estimate from the start.
     pub fn state(&self) -> RobotState {
         let state = self.estimate().state(&self.robot, &self.reading, self.touching);
         RobotState { position: state.position + self.origin, ..state }
@@ -418,10 +406,8 @@ mod tests {
         (0..10).for_each(|_| senses.read(sim.data(), sim.parts()));
         assert_eq!(senses.fault(), Ok(None));
         let good = senses.reading;
-        senses.sensors = Sensors::new(
-            SensorNoise { rate_rad_s: f64::NAN, ..SensorNoise::default() },
-            &mut stream(0, Purpose::Sensor, 0, 0),
-        );
+        let noise = SensorNoise { rate_rad_s: f64::NAN, ..SensorNoise::default() };
+        senses.sensors = Sensors::new(noise, &mut stream(0, Purpose::Sensor, 0, 0));
         for tick in 0..24 {
             senses.read(sim.data(), sim.parts());
             assert_eq!(senses.fault().unwrap().is_some(), tick == 0, "tick {tick}");

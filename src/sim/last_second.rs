@@ -9,7 +9,7 @@ use crate::robot::{JOINTS, Joints, joint_names};
 
 /// A ring buffer of policy steps: positions, velocities and joint targets before each.
 #[derive(Debug, Clone)]
-pub struct LastSecond {
+pub(crate) struct LastSecond {
     positions: usize,
     velocities: usize,
     /// The stored steps, shape (steps kept, positions + velocities + targets).
@@ -31,10 +31,7 @@ impl LastSecond {
     }
 
     /// Stores the state before a policy step, in MuJoCo's coordinates, and the joint targets \[rad\] of that step.
-    ///
-    /// # Panics
-    /// Positions or velocities have other lengths than those given to `new`.
-    pub fn note(&mut self, positions: &[f64], velocities: &[f64], targets: &Joints) {
+    pub(crate) fn note(&mut self, positions: &[f64], velocities: &[f64], targets: &Joints) {
         let width = self.width();
         let kept = self.rows.len() / width;
         let row = &mut self.rows[self.noted % kept * width..][..width];

@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 pub mod control;
 mod dynamics;
 pub mod ground;
-pub mod last_second;
+pub(crate) mod last_second;
 mod look;
 mod parts;
 pub mod scene;
@@ -188,16 +188,13 @@ impl Sim {
     }
 
     /// Gives the robot other dynamics from the next [`Sim::reset`] or [`Sim::restore`] on.
-    ///
-    /// # Errors
-    /// The trunk would have less mass than nothing.
-    pub fn set_dynamics(&mut self, dynamics: &Dynamics) -> Result<()> {
+    pub(crate) fn set_dynamics(&mut self, dynamics: &Dynamics) -> Result<()> {
         (self.gains, self.latency) = self.nominal.deviate(&mut self.data, &self.parts, dynamics)?;
         Ok(())
     }
 
     /// Moves the robot's start to a place on the ground, world frame \[m\], from the next [`Sim::reset`] on.
-    pub fn set_start(&mut self, [x, y]: [f64; 2]) {
+    pub(crate) fn set_start(&mut self, [x, y]: [f64; 2]) {
         let above = self.start[2] - self.ground.height(self.start[0], self.start[1]);
         self.start[..3].copy_from_slice(&[x, y, above + self.ground.height(x, y)]);
     }
@@ -305,7 +302,7 @@ impl Sim {
     }
 
     /// Returns the joint angles as the encoders read them \[rad\].
-    pub fn measured_angles(&self) -> Joints {
+    pub(crate) fn measured_angles(&self) -> Joints {
         let angles = self.parts.joint_angles(&self.data);
         std::array::from_fn(|joint| angles[joint] + self.conditions.encoder_bias[joint])
     }
@@ -329,7 +326,7 @@ impl Sim {
     }
 
     /// Sets the force that acts on the trunk's centre of mass from now on, world frame \[N\].
-    pub fn set_trunk_force(&mut self, force: Vector3<f64>) {
+    pub(crate) fn set_trunk_force(&mut self, force: Vector3<f64>) {
         let start = 6 * self.parts.trunk();
         self.data.applied_forces_mut()[start..start + 3].copy_from_slice(force.as_slice());
     }
@@ -357,34 +354,19 @@ impl Sim {
         }
     }
 
-    /// Returns the physics, for recorders and metrics.
-    pub fn data(&self) -> &Data {
-        &self.data
-    }
-
-    /// Returns the physics to be changed, for scenarios that move obstacles or inject faults.
-    pub fn data_mut(&mut self) -> &mut Data {
-        &mut self.data
-    }
-
-    /// Returns the robot.
-    pub fn robot(&self) -> &Arc<Robot> {
-        &self.robot
-    }
-
-    /// Returns the ids of the robot's parts in the model.
-    pub fn parts(&self) -> &Parts {
-        &self.parts
-    }
-
-    /// Returns the ground.
-    pub fn ground(&self) -> &Ground {
-        &self.ground
-    }
-
-    /// Returns the duration of a policy step \[s\].
-    pub fn policy_period_s(&self) -> f64 {
-        self.substeps as f64 * self.data.model().timestep_s()
+    methods! {
+        /// Returns the physics, for recorders and metrics.
+        fn data(&self) -> &Data = &self.data;
+        /// Returns the physics to be changed, for scenarios that move obstacles or inject faults.
+        fn data_mut(&mut self) -> &mut Data = &mut self.data;
+        /// Returns the robot.
+        fn robot(&self) -> &Arc<Robot> = &self.robot;
+        /// Returns the ids of the robot's parts in the model.
+        fn parts(&self) -> &Parts = &self.parts;
+        /// Returns the ground.
+        fn ground(&self) -> &Ground = &self.ground;
+        /// Returns the duration of a policy step \[s\].
+        fn policy_period_s(&self) -> f64 = self.substeps as f64 * self.data.model().timestep_s();
     }
 
     /// Returns the state from which the simulation continues exactly.

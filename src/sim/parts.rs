@@ -62,44 +62,25 @@ impl Parts {
         })
     }
 
-    /// Returns the ids of the joints.
-    pub fn joints(&self) -> [usize; JOINTS] {
-        self.joints
-    }
-
-    /// Returns the body id of the trunk.
-    pub fn trunk(&self) -> usize {
-        self.trunk
-    }
-
-    /// Returns the geometry id of the ground.
-    pub fn ground(&self) -> usize {
-        self.ground
-    }
-
-    /// Returns the geometry ids of the feet.
-    pub fn feet(&self) -> [usize; 4] {
-        self.feet
-    }
-
-    /// Returns the centres of the spheres that stand for the feet after the last [`Data::step1`], world frame \[m\].
-    pub fn foot_centres(&self, data: &Data) -> [[f64; 3]; 4] {
-        self.soles.map(|sole| sole.centre(data))
-    }
-
-    /// Returns true if a geometry belongs to the robot.
-    pub fn is_part(&self, geom: usize) -> bool {
-        self.is_part[geom]
-    }
-
-    /// Returns the true joint angles \[rad\].
-    pub fn joint_angles(&self, data: &Data) -> Joints {
-        self.joint_position.map(|index| data.positions()[index])
-    }
-
-    /// Returns the joint rates [rad/s].
-    pub fn joint_rates(&self, data: &Data) -> Joints {
-        self.joint_velocity.map(|index| data.velocities()[index])
+    methods! {
+        /// Returns the ids of the joints.
+        fn joints(&self) -> [usize; JOINTS] = self.joints;
+        /// Returns the body id of the trunk.
+        fn trunk(&self) -> usize = self.trunk;
+        /// Returns the geometry id of the ground.
+        fn ground(&self) -> usize = self.ground;
+        /// Returns the geometry ids of the feet.
+        fn feet(&self) -> [usize; 4] = self.feet;
+        /// Returns the centres of the spheres that stand for the feet after the last [`Data::step1`], world frame \[m\].
+        fn foot_centres(&self, data: &Data) -> [[f64; 3]; 4] = self.soles.map(|sole| sole.centre(data));
+        /// Returns true if a geometry belongs to the robot.
+        fn is_part(&self, geom: usize) -> bool = self.is_part[geom];
+        /// Returns the true joint angles \[rad\].
+        fn joint_angles(&self, data: &Data) -> Joints = self.joint_position.map(|index| data.positions()[index]);
+        /// Returns the joint rates [rad/s].
+        fn joint_rates(&self, data: &Data) -> Joints = self.joint_velocity.map(|index| data.velocities()[index]);
+        /// Returns the velocity of the centre of every foot, world frame [m/s].
+        fn foot_velocities(&self, data: &Data) -> [[f64; 3]; 4] = self.soles.each_ref().map(|sole| sole.velocity(data));
     }
 
     /// Returns the velocity of the trunk: linear in the world frame [m/s], angular in the base frame [rad/s].
@@ -169,11 +150,6 @@ impl Parts {
             feet,
             felt_force: None,
         }
-    }
-
-    /// Returns the velocity of the centre of every foot, world frame [m/s].
-    pub fn foot_velocities(&self, data: &Data) -> [[f64; 3]; 4] {
-        self.soles.each_ref().map(|sole| sole.velocity(data))
     }
 
     /// Returns height and contact of every foot after the last [`Data::step1`].

@@ -51,10 +51,7 @@ pub(super) fn circumstances(
     let count = |end: EpisodeEnd| episodes.iter().filter(|episode| episode.end == end).count();
     let statistics = match fault {
         UpdateFault::NotFinite { summary, .. } => Some(summary),
-        UpdateFault::Shape { .. }
-        | UpdateFault::Shards { .. }
-        | UpdateFault::Sample { .. }
-        | UpdateFault::Candle(_) => None,
+        UpdateFault::Misfit(_) | UpdateFault::Candle(_) => None,
     };
     serde_json::json!({
         "message": fault.to_string(),

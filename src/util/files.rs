@@ -28,7 +28,7 @@ impl FileError {
 }
 
 /// Explains why a file that Supple wrote cannot be read, if `reason` is that it has an unknown key or value.
-pub fn of_another_version(reason: &str) -> Option<String> {
+pub(crate) fn of_another_version(reason: &str) -> Option<String> {
     let (unknown, _) = reason.split_once("`, ").filter(|(unknown, _)| unknown.contains("unknown "))?;
     Some(format!("{unknown}`: another version of Supple wrote this file; use that version, or remove the key"))
 }
@@ -81,10 +81,7 @@ fn buffered<W: Write>(out: W, write: impl FnOnce(&mut dyn Write) -> io::Result<(
 
 /// Writes a file like [`write_atomically`] that is never a link, and keeps the previous content as `old`. At any moment
 /// one of the two is complete.
-///
-/// # Errors
-/// The operating system cannot write the files; the old content is then unchanged.
-pub fn write_keeping(path: &Path, old: &Path, bytes: &[u8]) -> io::Result<()> {
+pub(crate) fn write_keeping(path: &Path, old: &Path, bytes: &[u8]) -> io::Result<()> {
     let keep = || match fs::rename(path, old) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
         _ => Ok(()),
@@ -204,10 +201,7 @@ fn folder_of(path: &Path) -> &Path {
 }
 
 /// Syncs the folder of `path`, so that renames in it survive a power failure.
-///
-/// # Errors
-/// The folder cannot be opened or synced.
-pub fn sync_folder(path: &Path) -> io::Result<()> {
+pub(crate) fn sync_folder(path: &Path) -> io::Result<()> {
     File::open(folder_of(path))?.sync_all()
 }
 

@@ -6,12 +6,12 @@ pub fn maximum(a: f64, b: f64) -> f64 {
 }
 
 /// Returns the largest magnitude: 0 for no numbers, NaN if one of them is NaN.
-pub fn largest_magnitude(numbers: impl IntoIterator<Item = f64>) -> f64 {
+pub(crate) fn largest_magnitude(numbers: impl IntoIterator<Item = f64>) -> f64 {
     numbers.into_iter().map(f64::abs).fold(0.0, maximum)
 }
 
 /// Returns true if all numbers are finite, also in single precision.
-pub fn finite_in_single(numbers: &[f64]) -> bool {
+pub(crate) fn finite_in_single(numbers: &[f64]) -> bool {
     numbers.iter().all(|number| (*number as f32).is_finite())
 }
 

@@ -54,45 +54,23 @@ impl StoredTensor {
 /// The reason why a file's tensors cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub enum TensorError {
-    /// The bytes are no safetensors file, or a part of one.
     #[error("not a whole safetensors file ({0}); was it cut off while copying?")]
     Broken(#[from] SafeTensorError),
-    /// The file has no JSON text of Supple.
     #[error("it has no metadata '{KEY}': not written by supple")]
     Foreign,
-    /// The JSON text is invalid.
     #[error("its metadata do not parse: {0}")]
     Metadata(#[from] serde_json::Error),
-    /// The file has another version of the format.
     #[error("its format is {found}, this program reads {expected}: use the version of Supple that wrote it")]
-    Format {
-        /// Version of the file.
-        found: u32,
-        /// Version that is supported.
-        expected: u32,
-    },
-    /// A tensor is missing.
+    Format { found: u32, expected: u32 },
     #[error("it has no tensor {0}")]
     Missing(String),
-    /// A tensor has another type or shape.
     #[error("its tensor {name} is {:?} {:?}, expected {:?} {:?}", found.0, found.1, expected.0, expected.1)]
-    Shape {
-        /// Name of the tensor.
-        name: String,
-        /// The type and the shape that were found.
-        found: (Dtype, Vec<usize>),
-        /// The type and the shape that it should have.
-        expected: (Dtype, Vec<usize>),
-    },
-    /// A tensor has NaN or infinite values.
+    Shape { name: String, found: (Dtype, Vec<usize>), expected: (Dtype, Vec<usize>) },
     #[error("its tensor {0} holds numbers that are not finite")]
     NotFinite(String),
 }
 
 /// Serialises tensors and a JSON text to the bytes of a file.
-///
-/// # Errors
-/// A shape does not fit its values.
 pub fn serialize(tensors: &[StoredTensor], json: String) -> Result<Vec<u8>, SafeTensorError> {
     let views: Result<Vec<_>, SafeTensorError> = tensors
         .iter()
@@ -102,9 +80,6 @@ pub fn serialize(tensors: &[StoredTensor], json: String) -> Result<Vec<u8>, Safe
 }
 
 /// Reads the tensors and the JSON text of a file.
-///
-/// # Errors
-/// The bytes are not a safetensors file, or one without this text.
 pub fn deserialize(bytes: &[u8]) -> Result<(SafeTensors<'_>, String), TensorError> {
     let tensors = SafeTensors::deserialize(bytes)?;
     let (_, header) = SafeTensors::read_metadata(bytes)?;
@@ -113,9 +88,6 @@ pub fn deserialize(bytes: &[u8]) -> Result<(SafeTensors<'_>, String), TensorErro
 }
 
 /// Parses the JSON text if its key `format` is a supported version, which is checked first.
-///
-/// # Errors
-/// The version is not supported, or the JSON does not fit the type.
 pub fn metadata<T: DeserializeOwned>(json: &str, format: u32) -> Result<T, TensorError> {
     #[derive(Deserialize)]
     struct Format {
@@ -129,9 +101,6 @@ pub fn metadata<T: DeserializeOwned>(json: &str, format: u32) -> Result<T, Tenso
 }
 
 /// Parses JSON that Supple wrote.
-///
-/// # Errors
-/// The bytes are not JSON, or do not fit the type; the error of an unknown key names it.
 pub fn from_json<T: DeserializeOwned>(json: &[u8]) -> serde_json::Result<T> {
     let mut reader = serde_json::Deserializer::from_slice(json);
     let read = serde_path_to_error::deserialize(&mut reader).map_err(|error| {
@@ -143,18 +112,12 @@ pub fn from_json<T: DeserializeOwned>(json: &[u8]) -> serde_json::Result<T> {
 }
 
 /// Reads a single-precision tensor of a known shape.
-///
-/// # Errors
-/// The tensor is missing, has another type or shape, or a value that is not finite.
 pub fn read_f32(tensors: &SafeTensors<'_>, name: &str, shape: &[usize]) -> Result<Vec<f32>, TensorError> {
     let bytes = tensor_bytes(tensors, name, (Dtype::F32, shape))?;
     finite(name, bytes.as_chunks().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect(), f32::is_finite)
 }
 
 /// Reads all single-precision tensors whose names begin with `prefix`: the rest of the name, shape and values.
-///
-/// # Errors
-/// A tensor has another type, or a value that is not finite.
 pub fn read_group(tensors: &SafeTensors<'_>, prefix: &str) -> Result<Vec<WeightTensor>, TensorError> {
     let mut named = Vec::new();
     for (name, view) in tensors.iter() {
@@ -166,18 +129,12 @@ pub fn read_group(tensors: &SafeTensors<'_>, prefix: &str) -> Result<Vec<WeightT
 }
 
 /// Reads a double-precision tensor of a known shape.
-///
-/// # Errors
-/// The tensor is missing, has another type or shape, or a value that is not finite.
 pub fn read_f64(tensors: &SafeTensors<'_>, name: &str, shape: &[usize]) -> Result<Vec<f64>, TensorError> {
     let bytes = tensor_bytes(tensors, name, (Dtype::F64, shape))?;
     finite(name, bytes.as_chunks().0.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect(), f64::is_finite)
 }
 
 /// Reads a tensor of bytes, of any length.
-///
-/// # Errors
-/// The tensor is missing, or has another type or more than one dimension.
 pub fn read_u8<'a>(tensors: &SafeTensors<'a>, name: &str) -> Result<&'a [u8], TensorError> {
     let length = tensors.tensor(name).map_or(0, |view| view.data().len());
     tensor_bytes(tensors, name, (Dtype::U8, &[length]))

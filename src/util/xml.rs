@@ -17,21 +17,12 @@ const MAX_DEPTH: usize = 64;
 /// The reason why a text was refused.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum XmlError {
-    /// The text is not well-formed XML, or has more parts than any robot.
     #[error("it is not XML: {0}")]
     Syntax(String),
-    /// An element has more attributes than any element of MJCF.
     #[error("line {line}: an element has more than {MAX_ATTRIBUTES} attributes")]
-    Crowded {
-        /// Line of the element.
-        line: u32,
-    },
-    /// Elements are nested deeper than in any robot.
+    Crowded { line: u32 },
     #[error("line {line}: its elements are nested more than {MAX_DEPTH} deep")]
-    Deep {
-        /// Line of the first element that is too deep.
-        line: u32,
-    },
+    Deep { line: u32 },
 }
 
 /// The place where an element was read.
@@ -123,9 +114,6 @@ impl Element {
 }
 
 /// Parses a text and returns its root element.
-///
-/// # Errors
-/// The text is not XML, or too large.
 pub fn parse(text: &str) -> Result<Element, XmlError> {
     if let Some(line) = crowded(text) {
         return Err(XmlError::Crowded { line });

@@ -28,7 +28,7 @@ impl YamlError {
     }
 
     /// Formats line and reason, for callers that name the file themselves.
-    pub fn without_name(&self) -> String {
+    pub(crate) fn without_name(&self) -> String {
         self.line.map_or_else(|| self.message.clone(), |line| format!("line {line}: {}", self.message))
     }
 }
@@ -53,7 +53,7 @@ impl Text {
 
     /// Creates the text of a flag that the user gave as `name` on the command line, and that `content` expresses in
     /// YAML.
-    pub fn of_flag(name: &str, content: &str) -> Self {
+    pub(crate) fn of_flag(name: &str, content: &str) -> Self {
         Text { has_lines: false, ..Text::new(name, content) }
     }
 
@@ -128,10 +128,7 @@ const MAX_BYTES: u64 = 1 << 20;
 const MAX_BRACKETS: usize = 10_000;
 
 /// Converts a value to a checked type; `texts` are its sources, the overriding one first.
-///
-/// # Errors
-/// A key is unknown or missing, or a value has the wrong type; the error names the text and the line.
-pub fn typed<T: DeserializeOwned>(value: Value, texts: &[Text]) -> Result<T, YamlError> {
+pub(crate) fn typed<T: DeserializeOwned>(value: Value, texts: &[Text]) -> Result<T, YamlError> {
     serde_path_to_error::deserialize(value).map_err(|error| {
         let key = error.path().to_string();
         let key = if key == "." { String::new() } else { key };
@@ -181,7 +178,7 @@ pub fn layered<T: DeserializeOwned>(texts: &[Text]) -> Result<T, YamlError> {
 }
 
 /// Formats a value of numbers, texts and lists as YAML.
-pub fn to_text(value: &impl Serialize) -> String {
+pub(crate) fn to_text(value: &impl Serialize) -> String {
     // Plain structs of numbers and strings: serialising them cannot fail.
     serde_yaml::to_string(value).unwrap_or_default()
 }
@@ -194,7 +191,7 @@ pub fn to_value(value: &impl Serialize) -> Value {
 
 /// Returns a struct as [`to_value`] does, but without the keys that stand at their default: those without which it reads back
 /// as the same. A program that does not know such a key can read the rest.
-pub fn without_defaults<T: Serialize + DeserializeOwned + PartialEq>(value: &T) -> Value {
+pub(crate) fn without_defaults<T: Serialize + DeserializeOwned + PartialEq>(value: &T) -> Value {
     let (mut keys, mut needed) = (to_value(value), 0);
     while let Some(shorter) = without_entry(&keys, needed) {
         if serde_yaml::from_value(shorter.clone()).is_ok_and(|read: T| read == *value) {
@@ -217,10 +214,7 @@ pub(crate) fn without_entry(value: &Value, before: usize) -> Option<Value> {
 }
 
 /// Serialises a struct without the keys that stand at their default, for `#[serde(serialize_with)]`.
-///
-/// # Errors
-/// Those of the serialiser.
-pub fn serialize_without_defaults<T, S>(value: &T, serializer: S) -> Result<S::Ok, S::Error>
+pub(crate) fn serialize_without_defaults<T, S>(value: &T, serializer: S) -> Result<S::Ok, S::Error>
 where
     T: Serialize + DeserializeOwned + PartialEq,
     S: serde::Serializer,

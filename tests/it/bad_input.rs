@@ -1,42 +1,17 @@
 //! What people, disks and other programs put before ours by mistake or malice.
 
 use std::ffi::OsStr;
-use std::io::Write;
 use std::os::unix::ffi::OsStrExt;
 use std::path::Path;
-use std::process::{Command, Output, Stdio};
-use std::time::{Duration, Instant};
+use std::process::{Command, Stdio};
 
-use crate::support::{complaint, metrics, program, repository, robot, run, small_config_file, standing_policy};
-
-/// Refused with exit code 2, one line that has these words, and within seconds.
-fn refused(name: &str, folder: &Path, arguments: &[&str], words: &str) -> String {
-    let begun = Instant::now();
-    let output = run(name, folder, arguments);
-    let complaint = complaint(&output);
-    assert_eq!(output.status.code(), Some(2), "{arguments:?}: {complaint}");
-    assert!(complaint.contains(words) && complaint.lines().count() == 1, "{arguments:?}: {complaint}");
-    assert!(begun.elapsed() < Duration::from_secs(60), "{arguments:?} took {:?}", begun.elapsed());
-    complaint
-}
+use crate::support::{
+    complaint, metrics, program, refused, repository, robot, run, small_config_file, standing_policy, success,
+    with_input,
+};
 
 fn trained(folder: &Path, out: &str, more: &[&str]) {
-    let output = run("train", folder, &[&["--config", "small.yaml", "--samples", "768", "--out", out], more].concat());
-    assert!(output.status.success(), "{}", complaint(&output));
-}
-
-fn with_input(name: &str, folder: &Path, arguments: &[&str], input: &[u8]) -> Output {
-    let mut child = Command::new(program(name))
-        .args(arguments)
-        .current_dir(folder)
-        .stdin(Stdio::piped())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
-    // It may have seen enough before all is written.
-    let _ = child.stdin.take().unwrap().write_all(input);
-    child.wait_with_output().unwrap()
+    success(run("train", folder, &[&["--config", "small.yaml", "--samples", "768", "--out", out], more].concat()));
 }
 
 #[test]
@@ -119,8 +94,7 @@ fn robots_that_exhaust_memory_are_refused() {
     let harmless = "<size nuser_body='2147483647' nkey='1000000'/><!-- nrow='2147483647' --><option iterations='2147483647'/>\
                     <sensor><user dim='2147483647'/></sensor>";
     with("<worldbody", harmless);
-    let output = run("train", folder.path(), &arguments);
-    assert!(output.status.success(), "{}", complaint(&output));
+    success(run("train", folder.path(), &arguments));
 }
 
 #[test]
@@ -246,8 +220,7 @@ fn errors_name_file_line_and_key_once() {
     }
     write("marked.yaml", "\u{feff}base: small.yaml\n".as_bytes());
     trained(folder.path(), "run", &[]);
-    let output = run("train", folder.path(), &["--config", "marked.yaml", "--samples", "256", "--out", "marked"]);
-    assert!(output.status.success(), "{}", complaint(&output));
+    success(run("train", folder.path(), &["--config", "marked.yaml", "--samples", "256", "--out", "marked"]));
 
     std::fs::create_dir(folder.path().join("empty")).unwrap();
     let start = ["--config", "small.yaml", "--out"];

@@ -1,11 +1,10 @@
 //! `policy describe`: external policies by what their frameworks wrote.
 
 use std::path::Path;
-use std::process::Command;
 
 use serde_json::Value;
 
-use crate::support::{complaint, example, program, repository, run};
+use crate::support::{complaint, example, repository, run, success, with_input};
 
 /// The policy of examples/policies/rsl_rl.yaml, trained on a Go1, as a `deploy.yaml` has it.
 const DEPLOY: &str = "\
@@ -34,8 +33,7 @@ fn behaviour(folder: &Path, policy: &str) -> (Value, String) {
     let shown = run("policy", folder, &["show", policy, "--json"]);
     let shown: Value = serde_json::from_slice(&shown.stdout).unwrap_or_else(|_| panic!("{}", complaint(&shown)));
     let observation: Vec<f64> = (0..48).map(|k| 0.02 * f64::from(k)).collect();
-    let command = format!("echo '{observation:?}' | {} run {policy}", program("policy"));
-    let output = Command::new("sh").args(["-c", &command]).current_dir(folder).output().unwrap();
+    let output = with_input("policy", folder, &["run", policy], format!("{observation:?}\n").as_bytes());
     (shown["observation_elements"].clone(), String::from_utf8(output.stdout).unwrap())
 }
 
@@ -49,8 +47,7 @@ fn a_deploy_yaml_becomes_the_description_written_by_hand() {
         let arguments = ["--onnx", "rsl_rl.onnx", "--robot", "go1", "--out", "mine.yaml"];
         run("policy", folder, &[&["describe", "deploy.yaml"], &arguments[..]].concat())
     };
-    let output = deploy(DEPLOY);
-    assert!(output.status.success(), "{}", complaint(&output));
+    let output = success(deploy(DEPLOY));
     assert!(String::from_utf8_lossy(&output.stdout).contains("it fits rsl_rl.onnx"));
     let hand = behaviour(folder, "rsl_rl.yaml");
     assert_eq!(hand.0.as_array().unwrap().len(), 48);
@@ -104,8 +101,7 @@ fn an_onnx_file_is_described_by_its_metadata_or_refused_with_a_remedy() {
     };
     let with = [bare, metadata.iter().flat_map(entry).collect()].concat();
     std::fs::write(folder.join("with.onnx"), with).unwrap();
-    let output = describe("with.onnx");
-    assert!(output.status.success(), "{}", complaint(&output));
+    success(describe("with.onnx"));
     let (observation, targets) = behaviour(folder, "mine.yaml");
     assert!(observation[12].to_string().contains("FL_hip") && observation[13].to_string().contains("FR_hip"));
     let targets: Vec<f64> = serde_json::from_str(&targets).unwrap();

@@ -5,7 +5,9 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
-use crate::support::{assert_same, complaint, metrics, repository, run, small_config, small_config_file};
+use crate::support::{
+    assert_same, complaint, metrics, refused, repository, run, small_config, small_config_file, success,
+};
 
 /// Starts a long training run and waits for its folder.
 fn training(folder: &Path) -> Child {
@@ -34,9 +36,7 @@ fn unwritable_checkpoint_leaves_the_one_before() {
     config.run.checkpoint_every = 1;
     std::fs::write(folder.path().join("small.yaml"), config.to_yaml()).unwrap();
     let size = |name: &str| std::fs::metadata(folder.path().join(name)).unwrap().len();
-    assert!(
-        run("train", folder.path(), &["--config", "small.yaml", "--samples", "256", "--out", "probe"]).status.success()
-    );
+    success(run("train", folder.path(), &["--config", "small.yaml", "--samples", "256", "--out", "probe"]));
     // Room for the first checkpoint, in which environments are at rest and their numbers short, and for no later one.
     let kibibytes = size("probe/checkpoint.safetensors").max(size("probe/policy.safetensors")) / 1024;
     let train = crate::support::program("train");
@@ -50,15 +50,11 @@ fn unwritable_checkpoint_leaves_the_one_before() {
     assert!(words.contains("File too large") && words.lines().count() == 1, "{words}");
     if folder.path().join("run").exists() {
         assert!(words.contains("train --resume run"), "{words}");
-        let output = run("train", folder.path(), &["--resume", "run", "--samples", "5120"]);
-        assert!(output.status.success(), "{}", complaint(&output));
+        success(run("train", folder.path(), &["--resume", "run", "--samples", "5120"]));
     } else {
-        let output = run("train", folder.path(), &["--config", "small.yaml", "--samples", "5120", "--out", "run"]);
-        assert!(output.status.success(), "{}", complaint(&output));
+        success(run("train", folder.path(), &["--config", "small.yaml", "--samples", "5120", "--out", "run"]));
     }
-    assert!(
-        run("train", folder.path(), &["--config", "small.yaml", "--samples", "5120", "--out", "ref"]).status.success()
-    );
+    success(run("train", folder.path(), &["--config", "small.yaml", "--samples", "5120", "--out", "ref"]));
     assert_same(&metrics(&folder.path().join("ref")), &metrics(&folder.path().join("run")));
 }
 
@@ -78,14 +74,12 @@ fn ctrl_c_and_sigterm_finish_the_iteration_and_say_how_to_resume() {
     for signal in ["-INT", "-TERM"] {
         let folder = tempfile::tempdir().unwrap();
         let child = training(folder.path());
-        let second = run("train", folder.path(), &["--resume", "run"]);
-        assert_eq!(second.status.code(), Some(2));
-        assert!(complaint(&second).contains("another process is training in run"), "{}", complaint(&second));
+        refused("train", folder.path(), &["--resume", "run"], "another process is training in run");
         send(signal, &child);
         let output = child.wait_with_output().unwrap();
         assert!(output.status.success());
         assert!(complaint(&output).contains("train --resume run"), "{}", complaint(&output));
-        assert!(run("train", folder.path(), &["--resume", "run", "--samples", "1"]).status.success());
+        success(run("train", folder.path(), &["--resume", "run", "--samples", "1"]));
     }
 }
 
@@ -114,8 +108,7 @@ fn a_start_that_was_cut_off_is_cleared_away_by_the_next() {
     std::os::unix::fs::symlink("theirs", folder.path().join(".run.starting-xyz")).unwrap();
     std::fs::write(left.join("checkpoint.safetensors"), "half").unwrap();
     std::fs::write(left.join("lock"), "").unwrap();
-    let output = run("train", folder.path(), &["--config", "small.yaml", "--samples", "256", "--out", "run"]);
-    assert!(output.status.success(), "{}", complaint(&output));
+    success(run("train", folder.path(), &["--config", "small.yaml", "--samples", "256", "--out", "run"]));
     assert!(!left.exists() && theirs.join("lock").exists());
     assert!(!folder.path().join("run/checkpoint.damaged.safetensors").exists());
 }
@@ -140,8 +133,7 @@ fn a_physics_fault_is_shown_kept_and_does_not_end_the_run() {
     let mut config = small_config();
     config.robot.model = folder.path().join("light.xml").to_str().unwrap().to_owned();
     std::fs::write(folder.path().join("wild.yaml"), config.to_yaml()).unwrap();
-    let output = run("train", folder.path(), &["--config", "wild.yaml", "--samples", "5120", "--out", "run"]);
-    assert!(output.status.success(), "{}", complaint(&output));
+    let output = success(run("train", folder.path(), &["--config", "wild.yaml", "--samples", "5120", "--out", "run"]));
     let words = complaint(&output);
     assert!(words.contains("physics fault in environment") && words.contains("its last second is in run/faults/"));
     let faults: u64 = metrics(&folder.path().join("run")).iter().map(|line| line["faults"].as_u64().unwrap()).sum();

@@ -1,7 +1,7 @@
 //! Robots as other programs write them: newer MuJoCo, URDF, feet of any shape, settings of their own.
 
 use std::f64::consts::PI;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 
 use supple::config::Config;
@@ -9,7 +9,7 @@ use supple::mujoco::{Object, VERSION};
 use supple::robot::{JOINTS, Robot, joint_name};
 use supple::sim::{Conditions, Ground, Scene, Sim};
 
-use crate::support::{complaint, run};
+use crate::support::{run, success};
 
 /// A quadruped of 13.6 kg: thighs and calves of 0.22 m, feet of 20 mm, motors of 25 N·m, knees bent by 1.2 rad.
 #[derive(Clone)]
@@ -106,19 +106,23 @@ impl Foreign {
 }
 
 fn read(text: &str) -> Result<Arc<Robot>, String> {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("robot.xml");
-    std::fs::write(&path, text).unwrap();
-    Robot::load(path.to_str().unwrap()).map_err(|error| error.to_string())
+    load(&[("robot.xml", text)])
 }
 
 /// Reads a robot with a YAML description.
 fn described(robot: &Foreign, yaml: &str) -> Result<Arc<Robot>, String> {
+    load(&[("robot.xml", &robot.mjcf()), ("robot.yaml", &format!("mjcf: robot.xml\n{yaml}\n"))])
+}
+
+/// Writes files, and reads a robot from the last of them.
+fn load(files: &[(&str, &str)]) -> Result<Arc<Robot>, String> {
     let folder = tempfile::tempdir().unwrap();
-    std::fs::write(folder.path().join("robot.xml"), robot.mjcf()).unwrap();
-    let path = folder.path().join("robot.yaml");
-    std::fs::write(&path, format!("mjcf: robot.xml\n{yaml}\n")).unwrap();
-    Robot::load(path.to_str().unwrap()).map_err(|error| error.to_string())
+    let write = |(name, text): &(&str, &str)| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, text).map(|()| path).unwrap()
+    };
+    let paths: Vec<_> = files.iter().map(write).collect();
+    Robot::load(paths[paths.len() - 1].to_str().unwrap()).map_err(|error| error.to_string())
 }
 
 fn height(robot: &Robot) -> f64 {
@@ -289,12 +293,9 @@ fn complaints_of_mujoco_name_the_lines_of_the_file() {
         assert!(found.contains(words) && !found.contains("robot.xml, line"), "{words}: {found}");
     }
     // In a file that another includes, by its own line.
-    let folder = tempfile::tempdir().unwrap();
-    let at = |name: &str| -> PathBuf { folder.path().join(name) };
-    std::fs::write(at("robot.xml"), foreign().mjcf().replace("<worldbody>", "<include file='more.xml'/>\n<worldbody>"))
-        .unwrap();
-    std::fs::write(at("more.xml"), "<mujoco>\n\n<asset>\n<mesh name='m' file='gone.stl'/></asset></mujoco>").unwrap();
-    let error = Robot::load(at("robot.xml").to_str().unwrap()).unwrap_err().to_string();
+    let more = "<mujoco>\n\n<asset>\n<mesh name='m' file='gone.stl'/></asset></mujoco>";
+    let main = foreign().mjcf().replace("<worldbody>", "<include file='more.xml'/>\n<worldbody>");
+    let error = load(&[("more.xml", more), ("robot.xml", &main)]).unwrap_err();
     assert!(error.contains("more.xml, line 4, <mesh 'm'>: ") && error.contains("gone.stl"), "{error}");
 }
 
@@ -604,11 +605,10 @@ fn urdf(foot: &str) -> String {
 
 #[test]
 fn a_urdf_is_the_robot_that_it_describes() {
-    let folder = tempfile::tempdir().unwrap();
-    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
-    std::fs::write(at("robot.urdf"), urdf("<sphere radius='0.02'/>")).unwrap();
-    std::fs::write(at("robot.yaml"), "mjcf: robot.urdf\nnominal_pose_rad: [0, 0.6, -1.2]\n").unwrap();
-    let robot = Robot::load(&at("robot.yaml")).unwrap();
+    let text = urdf("<sphere radius='0.02'/>");
+    let of_urdf = |text: &str| load(&[("robot.urdf", text)]).unwrap();
+    let pose = ("robot.yaml", "mjcf: robot.urdf\nnominal_pose_rad: [0, 0.6, -1.2]\n");
+    let robot = load(&[("robot.urdf", &text), pose]).unwrap();
     assert_usual(&robot, 25.0);
     let report = robot.report.join("\n");
     assert!(report.contains("a URDF, read by MuJoCo") && report.contains("1 left out"), "{report}");
@@ -627,8 +627,7 @@ fn a_urdf_is_the_robot_that_it_describes() {
         assert!((0..3).all(|k| (far(&own, a)[k] - far(&other, b)[k]).abs() < 1e-12));
     }
     // A trunk whose mass is a link of its own, and a sensor whose inertia was made up.
-    let apart =
-        urdf("<sphere radius='0.02'/>").replace("<link name='base'/>", "").replacen("floating_base", "inertia", 1);
+    let apart = text.replace("<link name='base'/>", "").replacen("floating_base", "inertia", 1);
     let apart = apart.replacen(
         "<parent link='base'/><child link='trunk'/>",
         "<origin xyz='0 0 0.1' rpy='0 0 0'/><parent link='trunk'/><child link='mass'/>",
@@ -645,8 +644,7 @@ fn a_urdf_is_the_robot_that_it_describes() {
         &apart[..start],
         apart[end..].replace("</robot>", "")
     );
-    std::fs::write(at("apart.urdf"), apart).unwrap();
-    let apart = Robot::load(&at("apart.urdf")).unwrap();
+    let apart = of_urdf(&apart);
     assert!((apart.mass_kg - 13.7).abs() < 1e-9, "{}", apart.mass_kg);
     assert!(
         // MuJoCo 3 does not say which link it is.
@@ -665,17 +663,13 @@ fn a_urdf_is_the_robot_that_it_describes() {
     let least = model.body_inertia(trunk).into_iter().fold(f64::INFINITY, f64::min);
     assert!((least - own - third).abs() < 1e-9, "{least} {own}");
     // Without a pose, knees are bent as far as its joints go.
-    let alone = Robot::load(&at("robot.urdf")).unwrap();
+    let alone = of_urdf(&text);
     assert!((alone.nominal_pose[2] + 1.44).abs() < 1e-9, "{:?}", alone.nominal_pose);
-    let stiff = urdf("<sphere radius='0.02'/>").replace("lower='-2.6'", "lower='-1.2'");
-    std::fs::write(at("stiff.urdf"), stiff).unwrap();
-    let stiff = Robot::load(&at("stiff.urdf")).unwrap();
+    let stiff = of_urdf(&text.replace("lower='-2.6'", "lower='-1.2'"));
     assert!((-1.2..-1.0).contains(&stiff.nominal_pose[2]), "{:?}", stiff.nominal_pose);
     Config::load("fast").unwrap().fitted_to(&stiff).unwrap();
     // Knees that only bend the other way point forward.
-    let forward = urdf("<sphere radius='0.02'/>").replace("lower='-2.6' upper='-0.5'", "lower='0.5' upper='2.6'");
-    std::fs::write(at("forward.urdf"), forward).unwrap();
-    let forward = Robot::load(&at("forward.urdf")).unwrap();
+    let forward = of_urdf(&text.replace("lower='-2.6' upper='-0.5'", "lower='0.5' upper='2.6'"));
     assert!((forward.nominal_pose[2] - 1.44).abs() < 1e-9 && (forward.nominal_pose[1] + 0.72).abs() < 1e-9);
 }
 
@@ -793,17 +787,14 @@ fn joints_beside_those_of_the_legs_are_welded() {
         assert!(error.contains(problem), "{error}");
     }
     // A URDF of a robot with wheels where its feet would be.
-    let folder = tempfile::tempdir().unwrap();
-    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
     let fixed = urdf("<cylinder radius='0.02' length='0.02'/>");
-    std::fs::write(at("fixed.urdf"), &fixed).unwrap();
     let wheels = fixed.replace("_foot_fixed' type='fixed'>", "_foot_wheel' type='continuous'><axis xyz='0 1 0'/>");
-    std::fs::write(at("wheels.urdf"), wheels).unwrap();
-    std::fs::write(at("wheels.yaml"), "mjcf: wheels.urdf\nweld: [FL_foot_wheel, FR_foot_wheel, R*_wheel]\n").unwrap();
-    assert!(Robot::load(&at("wheels.yaml")).unwrap_err().to_string().contains("weld has 'R*_wheel'"));
-    std::fs::write(at("wheels.yaml"), "mjcf: wheels.urdf\nweld: [FL_foot_wheel, FR_foot_wheel, RL_f*, RR_f*]\n")
-        .unwrap();
-    let [fixed, welded] = ["fixed.urdf", "wheels.yaml"].map(|name| Robot::load(&at(name)).unwrap());
+    let welded = |weld| {
+        let yaml = format!("mjcf: wheels.urdf\nweld: [FL_foot_wheel, FR_foot_wheel, {weld}]\n");
+        load(&[("wheels.urdf", &wheels), ("wheels.yaml", &yaml)])
+    };
+    assert!(welded("R*_wheel").unwrap_err().contains("weld has 'R*_wheel'"));
+    let (fixed, welded) = (load(&[("fixed.urdf", &fixed)]).unwrap(), welded("RL_f*, RR_f*").unwrap());
     assert_eq!((welded.mjcf(), welded.mass_kg), (fixed.mjcf(), fixed.mass_kg));
 }
 
@@ -819,12 +810,9 @@ fn every_part_whose_inertia_changes_is_named() {
         |text: String| text.replace("diaginertia='0.002 0.002 0.0001'", "diaginertia='0.001 0.002 0.0001'");
     let own = Foreign { compiler: "angle='radian' balanceinertia='true'", ..foreign() };
     assert_eq!(line(&read(&unbalanced(own.mjcf())).unwrap(), "settings").unwrap(), format!("{change} {calves}"));
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("robot.urdf");
     let text = urdf("<sphere radius='0.02'/>").replace("ixx='0.002' iyy='0.002'", "ixx='0.001' iyy='0.002'");
-    std::fs::write(&path, text).unwrap();
     let expected = format!("inertia of {calves}: no body has it (A + B < C); its three moments made equal");
-    assert_eq!(line(&Robot::load(path.to_str().unwrap()).unwrap(), "inertia of"), Some(expected));
+    assert_eq!(line(&load(&[("robot.urdf", &text)]).unwrap(), "inertia of"), Some(expected));
 }
 
 #[test]
@@ -841,12 +829,7 @@ fn robots_without_welded_joints_keep_their_identity() {
 
 #[test]
 fn a_urdf_that_cannot_be_read_is_refused_by_its_lines() {
-    let folder = tempfile::tempdir().unwrap();
-    let complaint = |text: &str| {
-        let path = folder.path().join("robot.urdf");
-        std::fs::write(&path, text).unwrap();
-        Robot::load(path.to_str().unwrap()).unwrap_err().to_string()
-    };
+    let complaint = |text: &str| load(&[("robot.urdf", text)]).unwrap_err();
     let mesh = complaint(&urdf("<mesh filename='package://r/foot.stl'/>"));
     assert!(mesh.contains("nothing on the calf of leg FR collides") && mesh.contains("URDF"), "{mesh}");
     let heavy = complaint(&urdf("<sphere radius='0.02'/>").replacen("<mass value='0.4'/>", "<mass value='x'/>", 1));
@@ -865,22 +848,17 @@ fn programs_take_a_urdf_and_robots_without_limits() {
     write("robot.urdf", &urdf("<cylinder radius='0.02' length='0.02'/>"));
     write("free.xml", &Foreign { ranges: [""; 3], ..foreign() }.mjcf());
     for (robot, words) in [("robot.urdf", "feet: cylinders"), ("free.xml", "none ")] {
-        let shown = run("policy", folder.path(), &["robot", robot]);
-        let text = String::from_utf8_lossy(&shown.stdout).into_owned();
-        assert!(
-            shown.status.success() && text.contains(words) && text.contains("13.600 kg"),
-            "{text}{}",
-            complaint(&shown)
-        );
+        let shown = success(run("policy", folder.path(), &["robot", robot]));
+        let text = String::from_utf8_lossy(&shown.stdout);
+        assert!(text.contains(words) && text.contains("13.600 kg"), "{text}");
     }
     // A policy's file states the ranges of its robot's joints, infinite ones too.
     crate::support::small_config_file(folder.path());
-    let trained = run(
+    success(run(
         "train",
         folder.path(),
         &["--config", "small.yaml", "--robot", "free.xml", "--samples", "256", "--out", "r"],
-    );
-    assert!(trained.status.success(), "{}", complaint(&trained));
-    let shown = run("policy", folder.path(), &["show", "r"]);
-    assert!(shown.status.success() && String::from_utf8_lossy(&shown.stdout).contains("none"), "{}", complaint(&shown));
+    ));
+    let shown = success(run("policy", folder.path(), &["show", "r"]));
+    assert!(String::from_utf8_lossy(&shown.stdout).contains("none"));
 }

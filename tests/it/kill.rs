@@ -6,10 +6,9 @@ lands in a write.
 use std::path::Path;
 
 use supple::ppo::fused::tiles_available;
-use supple::train::checkpoint::Checkpoint;
 
 use crate::killing::{Killer, half_written, kills, undisturbed};
-use crate::support::{assert_same, complaint, metrics, run, small_config, standing_policy};
+use crate::support::{assert_same_run, complaint, run, small_config, standing_policy};
 
 #[test]
 fn resume_after_kill_gives_same_bits() {
@@ -59,20 +58,6 @@ fn another_arithmetic_is_refused(folder: &Path, precisions: &[&str], own: &str) 
     let output = run("train", folder, &["--resume", "run", "--config", "other.yaml"]);
     assert_eq!(output.status.code(), Some(2), "{}", complaint(&output));
     assert!(complaint(&output).contains("ppo.precision"), "{}", complaint(&output));
-}
-
-fn assert_same_run(a: &Path, b: &Path) {
-    assert_same(&metrics(a), &metrics(b));
-    let load = |folder: &Path| {
-        let (mut checkpoint, passed_over) = Checkpoint::load(folder).unwrap();
-        assert!(passed_over.is_none());
-        // The only number that differs between two runs of the same seed.
-        checkpoint.run.elapsed_s = 0.0;
-        checkpoint
-    };
-    assert!(load(a) == load(b), "the last checkpoints differ");
-    let policy = |folder: &Path| std::fs::read(folder.join("policy.safetensors")).unwrap();
-    assert!(policy(a) == policy(b), "the policies differ");
 }
 
 #[test]

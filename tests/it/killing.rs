@@ -13,7 +13,7 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use supple::util::random::{Purpose, stream};
 
-use crate::support::{complaint, program, run};
+use crate::support::{program, run, success};
 
 const SIGKILL: i32 = 9;
 
@@ -119,8 +119,7 @@ impl Killer {
 /// Runs a program to its end, and says how long that took.
 pub fn undisturbed(name: &str, folder: &Path, arguments: &[&str]) -> Duration {
     let started = Instant::now();
-    let output = run(name, folder, arguments);
-    assert!(output.status.success(), "{}", complaint(&output));
+    success(run(name, folder, arguments));
     started.elapsed()
 }
 

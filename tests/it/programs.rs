@@ -10,7 +10,8 @@ use supple::robot::Robot;
 use supple::train::checkpoint::Checkpoint;
 
 use crate::support::{
-    assert_same, complaint, metrics, program, repository, robot, run, small_config_file, standing_policy,
+    assert_same, complaint, metrics, program, refused, repository, robot, run, small_config_file, standing_policy,
+    success,
 };
 
 /// Writes a configuration for each learner into a folder, with layers wide enough for candle to hand their products out to
@@ -26,8 +27,7 @@ fn learners(folder: &Path) -> [&'static str; 2] {
 }
 
 fn train(folder: &Path, arguments: &[&str]) {
-    let output = run("train", folder, arguments);
-    assert!(output.status.success(), "{}", complaint(&output));
+    success(run("train", folder, arguments));
 }
 
 #[test]
@@ -107,7 +107,7 @@ fn resuming_with_another_configuration_names_the_keys() {
     let small = std::fs::read_to_string(small_config_file(folder.path())).unwrap();
     std::fs::write(folder.path().join("other.yaml"), small.replacen("epochs: 2", "epochs: 3", 1)).unwrap();
     let arguments = ["--config", "small.yaml", "--samples", "256", "--out", "run"];
-    assert!(run("train", folder.path(), &arguments).status.success());
+    success(run("train", folder.path(), &arguments));
     let cases: [(&str, &[&str], Option<&str>); 5] = [
         (
             "train",
@@ -155,7 +155,7 @@ fn run_of_another_robot_needs_that_robot() {
     assert_eq!(model, far.join("quadruped.xml").to_str().unwrap());
     let error = Robot::load(&model).unwrap_err().to_string();
     assert!(error.contains("there is no such file: put it there, or name another robot"), "{error}");
-    assert!(run("policy", folder.path(), &["verify", "far/p.safetensors"]).status.success());
+    success(run("policy", folder.path(), &["verify", "far/p.safetensors"]));
 
     // Its file lies elsewhere, as on another machine.
     std::os::unix::fs::symlink(xml.parent().unwrap(), folder.path().join("moved")).unwrap();
@@ -193,15 +193,14 @@ fn a_damaged_checkpoint_falls_back_to_the_one_before() {
     bytes[middle] ^= 1;
     std::fs::write(&newest, &bytes).unwrap();
 
-    let output = run("train", folder.path(), &["--resume", "run", "--samples", "1792"]);
-    assert!(output.status.success(), "{}", complaint(&output));
+    let output = success(run("train", folder.path(), &["--resume", "run", "--samples", "1792"]));
     assert!(complaint(&output).contains("going on from the checkpoint before it"), "{}", complaint(&output));
     assert_eq!(metrics(&folder.path().join("run")).len(), 7);
     let text = |name: &str| std::fs::read(folder.path().join("run").join(name)).unwrap();
     assert_eq!(text("checkpoint.damaged.safetensors"), bytes);
     assert_ne!(text("checkpoint.previous.safetensors"), bytes);
     std::fs::write(&newest, "damaged").unwrap();
-    assert!(run("train", folder.path(), &["--resume", "run", "--samples", "1792"]).status.success());
+    success(run("train", folder.path(), &["--resume", "run", "--samples", "1792"]));
     assert_eq!(text("checkpoint.damaged.safetensors"), b"damaged");
     assert_ne!(text("checkpoint.previous.safetensors"), b"damaged");
 
@@ -210,9 +209,7 @@ fn a_damaged_checkpoint_falls_back_to_the_one_before() {
         let bytes = std::fs::read(&path).unwrap();
         std::fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
     }
-    let output = run("train", folder.path(), &["--resume", "run"]);
-    assert_eq!(output.status.code(), Some(2));
-    assert!(complaint(&output).contains("was it cut off"), "{}", complaint(&output));
+    refused("train", folder.path(), &["--resume", "run"], "was it cut off");
 }
 
 #[test]
@@ -221,8 +218,7 @@ fn train_contact_is_reproducible_and_refuses_bad_input() {
     standing_policy().save(&folder.path().join("standing.safetensors")).unwrap();
     let train = |out: &str| {
         let arguments = ["--policy", "standing.safetensors", "--episodes", "5", "--seed", "7", "--out", out];
-        let output = run("train_contact", folder.path(), &arguments);
-        assert!(output.status.success(), "{}", complaint(&output));
+        let output = success(run("train_contact", folder.path(), &arguments));
         let text = String::from_utf8_lossy(&output.stdout).into_owned();
         assert!(text.contains("held out: 1 episodes") && text.contains("\nFR "), "{text}");
         std::fs::read(folder.path().join(out)).unwrap()
@@ -249,20 +245,18 @@ fn policy_program_shows_verifies_and_exports() {
     let json: Value =
         serde_json::from_slice(&run("policy", folder.path(), &["show", "p.safetensors", "--json"]).stdout).unwrap();
     assert_eq!(json["observation"].as_array().unwrap().len(), 14);
-    assert!(run("policy", folder.path(), &["verify", "p.safetensors"]).status.success());
+    success(run("policy", folder.path(), &["verify", "p.safetensors"]));
     let arguments = ["export", "p.safetensors", "--format", "onnx", "--out", "p.onnx"];
-    assert!(run("policy", folder.path(), &arguments).status.success());
+    success(run("policy", folder.path(), &arguments));
     let onnx = std::fs::read(folder.path().join("p.onnx")).unwrap();
     for name in ["observation", "joint_target", "Gemm", "Elu"] {
         assert!(onnx.windows(name.len()).any(|window| window == name.as_bytes()), "{name}");
     }
     // Its own description is written again; one made by hand is not, nor is the network written to its place.
-    assert!(run("policy", folder.path(), &arguments).status.success());
+    success(run("policy", folder.path(), &arguments));
     std::fs::write(folder.path().join("p.yaml"), "onnx: mine.onnx\n").unwrap();
     for (out, expected) in [("p.onnx", "p.yaml was not written by"), ("q.yaml", "is where the description goes")] {
-        let output = run("policy", folder.path(), &["export", "p.safetensors", "--format", "onnx", "--out", out]);
-        assert_eq!(output.status.code(), Some(2));
-        assert!(complaint(&output).contains(expected), "{}", complaint(&output));
+        refused("policy", folder.path(), &["export", "p.safetensors", "--format", "onnx", "--out", out], expected);
     }
     assert_eq!(std::fs::read_to_string(folder.path().join("p.yaml")).unwrap(), "onnx: mine.onnx\n");
 }
@@ -270,8 +264,7 @@ fn policy_program_shows_verifies_and_exports() {
 #[test]
 fn compliance_of_an_exported_network_can_be_commanded() {
     let folder = tempfile::tempdir().unwrap();
-    let output = run("policy", folder.path(), &["export", "baseline", "--format", "onnx", "--out", "b.onnx"]);
-    assert!(output.status.success(), "{}", complaint(&output));
+    success(run("policy", folder.path(), &["export", "baseline", "--format", "onnx", "--out", "b.onnx"]));
     let agent = shipped::find(&format!("{}@0.03", folder.path().join("b.yaml").display())).unwrap();
     assert_eq!(agent.resolve_compliance(None, None), Ok(Some(0.03)));
     assert_eq!(agent.calibration.unwrap().points, shipped::find("baseline").unwrap().calibration.unwrap().points);
@@ -281,8 +274,7 @@ fn compliance_of_an_exported_network_can_be_commanded() {
 fn policy_calibrate_reproduces_the_shipped_calibration() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::copy(repository("policies/baseline-seed0.safetensors"), folder.path().join("b.safetensors")).unwrap();
-    let output = run("policy", folder.path(), &["calibrate", "b.safetensors"]);
-    assert!(output.status.success(), "{}", complaint(&output));
+    success(run("policy", folder.path(), &["calibrate", "b.safetensors"]));
     let read = |path: &Path| -> Value { serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap() };
     let found = read(&folder.path().join("b.calibration.json"));
     let ships = read(&repository("policies/baseline-seed0.calibration.json"));
@@ -299,8 +291,6 @@ fn policy_calibrate_reproduces_the_shipped_calibration() {
     }
 
     standing_policy().save(&folder.path().join("p.safetensors")).unwrap();
-    let output = run("policy", folder.path(), &["calibrate", "p.safetensors"]);
-    assert_eq!(output.status.code(), Some(2));
-    assert!(complaint(&output).starts_with("error: p.safetensors: it "), "{}", complaint(&output));
+    refused("policy", folder.path(), &["calibrate", "p.safetensors"], "error: p.safetensors: it ");
     assert!(!folder.path().join("p.calibration.json").exists());
 }

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use supple::train::checkpoint::Checkpoint;
 
-use crate::support::{assert_same, complaint, metrics, program, run, small_config};
+use crate::support::{assert_same_run, complaint, metrics, program, run, small_config, success};
 
 const START: [&str; 2] = ["--config", "small.yaml"];
 
@@ -33,41 +33,30 @@ fn train(ranks: usize, folder: &Path, arguments: &[&str]) -> Output {
     mpirun(ranks, folder, arguments).output().unwrap()
 }
 
-fn succeeds(output: Output) {
-    assert!(output.status.success(), "{}", complaint(&output));
-}
-
-fn assert_same_runs(a: &Path, b: &Path) {
-    assert_same(&metrics(a), &metrics(b));
-    let [mut a, mut b] = [a, b].map(|folder| Checkpoint::load(folder).unwrap().0);
-    (a.run.elapsed_s, b.run.elapsed_s) = (0.0, 0.0);
-    assert!(a == b, "checkpoints differ");
-}
-
 #[test]
 fn any_number_of_ranks_and_threads_gives_the_same_bits() {
     let folder = folder();
     for (ranks, threads) in [(1, "1"), (2, "1"), (2, "3"), (4, "2"), (8, "1")] {
         let name = format!("{ranks}-{threads}");
         let arguments = ["--samples", "1280", "--threads", threads, "--out", &name];
-        succeeds(train(ranks, folder.path(), &[&START[..], &arguments].concat()));
-        assert_same_runs(&folder.path().join("1-1"), &folder.path().join(name));
+        success(train(ranks, folder.path(), &[&START[..], &arguments].concat()));
+        assert_same_run(&folder.path().join("1-1"), &folder.path().join(name));
     }
     // A single process with the same shards gives the same bits.
     let arguments = ["--samples", "1280", "--set", "ppo.shards=8", "--out", "alone"];
-    succeeds(run("train", folder.path(), &[&START[..], &arguments].concat()));
-    assert_same_runs(&folder.path().join("1-1"), &folder.path().join("alone"));
+    success(run("train", folder.path(), &[&START[..], &arguments].concat()));
+    assert_same_run(&folder.path().join("1-1"), &folder.path().join("alone"));
 }
 
 #[test]
 fn a_run_goes_on_with_any_other_number_of_ranks() {
     let folder = folder();
-    succeeds(train(2, folder.path(), &[&START[..], &["--samples", "1024", "--out", "whole"]].concat()));
-    succeeds(train(4, folder.path(), &[&START[..], &["--samples", "256", "--out", "parts"]].concat()));
-    succeeds(train(1, folder.path(), &["--resume", "parts", "--samples", "512"]));
-    succeeds(run("train", folder.path(), &["--resume", "parts", "--samples", "768"]));
-    succeeds(train(2, folder.path(), &["--resume", "parts", "--samples", "1024"]));
-    assert_same_runs(&folder.path().join("whole"), &folder.path().join("parts"));
+    success(train(2, folder.path(), &[&START[..], &["--samples", "1024", "--out", "whole"]].concat()));
+    success(train(4, folder.path(), &[&START[..], &["--samples", "256", "--out", "parts"]].concat()));
+    success(train(1, folder.path(), &["--resume", "parts", "--samples", "512"]));
+    success(run("train", folder.path(), &["--resume", "parts", "--samples", "768"]));
+    success(train(2, folder.path(), &["--resume", "parts", "--samples", "1024"]));
+    assert_same_run(&folder.path().join("whole"), &folder.path().join("parts"));
 }
 
 #[test]
@@ -134,7 +123,7 @@ fn killed_rank_ends_all_and_the_run_can_be_resumed() {
         let (checkpoint, passed_over) = Checkpoint::load(&folder.path().join("run")).unwrap();
         assert!(passed_over.is_none(), "{name}: {passed_over:?}");
         let samples = (checkpoint.run.samples + 256).to_string();
-        succeeds(train(2, folder.path(), &["--resume", "run", "--samples", &samples]));
+        success(train(2, folder.path(), &["--resume", "run", "--samples", &samples]));
     }
 }
 
@@ -143,8 +132,7 @@ fn a_signal_to_one_rank_stops_all_after_the_same_iteration() {
     let folder = folder();
     let (child, ranks) = started(2, folder.path());
     signal("-TERM", ranks[1]);
-    let output = child.wait_with_output().unwrap();
-    succeeds(output);
+    success(child.wait_with_output().unwrap());
     let run = folder.path().join("run");
     let last = metrics(&run).pop().unwrap();
     assert_eq!(last["iteration"], Checkpoint::load(&run).unwrap().0.run.iteration);

@@ -7,7 +7,7 @@ use supple::config::Config;
 use supple::robot::{Losses, Robot, joint_name};
 use supple::sim::{Conditions, Scene, Sim};
 
-use crate::support::{complaint, run, small_config_file};
+use crate::support::{complaint, refused, run, small_config_file, success};
 
 /// A quadruped in the style of an ANYmal: joints LF_HAA and so on, legs that are straight at zero angles, 40 kg, servos.
 #[derive(Clone)]
@@ -80,8 +80,7 @@ fn robot_without_pose_trains_with_bent_knees() {
     small_config_file(folder.path());
     anymal_like().write(folder.path());
     let folder = folder.path();
-    let told = run("policy", folder, &["robot", "robot.xml"]);
-    assert!(told.status.success(), "{}", complaint(&told));
+    let told = success(run("policy", folder, &["robot", "robot.xml"]));
     let told = String::from_utf8(told.stdout).unwrap();
     assert!(told.contains("40.000 kg") && told.contains("knees bent to the rear"), "{told}");
 
@@ -111,22 +110,18 @@ fn robot_without_pose_trains_with_bent_knees() {
     // What the command line says has the last word, and a run goes on with its robot.
     let arguments =
         ["--config", "small.yaml", "--robot", "robot.xml", "--set", "simulation.kp_n_m_per_rad=99", "--samples", "256"];
-    let own = run("train", folder, &[&arguments[..], &["--out", "own"]].concat());
-    assert!(own.status.success(), "{}", complaint(&own));
+    success(run("train", folder, &[&arguments[..], &["--out", "own"]].concat()));
     let own = Config::load(folder.join("own/config.yaml").to_str().unwrap()).unwrap();
     assert_eq!(own.simulation.kp_n_m_per_rad, 99.0.into());
     // Its own pose changes no rule, and its own configuration fits it, whatever its file is called.
     let pose = "action.nominal_pose_rad=[0, 0.5, -1]";
     let posed = ["--config", "small.yaml", "--robot", "robot.xml", "--set", pose, "--samples", "256", "--out", "posed"];
-    let posed = run("train", folder, &posed);
-    assert!(posed.status.success(), "{}", complaint(&posed));
+    success(run("train", folder, &posed));
     let posed = Config::load(folder.join("posed/config.yaml").to_str().unwrap()).unwrap();
     assert_eq!((&posed.simulation, &posed.reward), (&config.simulation, &config.reward));
-    let again = run("train", folder, &["--config", "own/config.yaml", "--robot", "./robot.xml", "--out", "again"]);
-    assert!(again.status.success(), "{}", complaint(&again));
+    success(run("train", folder, &["--config", "own/config.yaml", "--robot", "./robot.xml", "--out", "again"]));
     assert_eq!(Config::load(folder.join("again/config.yaml").to_str().unwrap()).unwrap(), own);
-    let resumed = run("train", folder, &["--resume", "r", "--samples", "512"]);
-    assert!(resumed.status.success(), "{}", complaint(&resumed));
+    success(run("train", folder, &["--resume", "r", "--samples", "512"]));
 }
 
 #[test]
@@ -172,12 +167,7 @@ fn non_quadruped_is_refused_in_one_line() {
         ),
     ] {
         robot.write(folder.path());
-        let output = run("train", folder.path(), &["--robot", "robot.xml", "--samples", "256", "--out", "r"]);
-        let told = complaint(&output);
-        assert!(
-            output.status.code() == Some(2) && told.contains(words) && told.lines().count() == 1,
-            "{words}: {told}"
-        );
+        refused("train", folder.path(), &["--robot", "robot.xml", "--samples", "256", "--out", "r"], words);
         assert!(!folder.path().join("r").exists());
     }
 }

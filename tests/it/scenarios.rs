@@ -1,11 +1,14 @@
 //! One list of properties over every scenario.
 
+use std::sync::Arc;
+
 use clap::{FromArgMatches, Subcommand};
 use supple::mujoco::Object;
+use supple::policy::Agent;
 use supple::scenario::catalog::{DEFAULTS, Scenario};
 use supple::scenario::estimation::Estimation;
 use supple::scenario::trace::{DisturbanceMark, EventKind, Trace};
-use supple::scenario::{Playback, Sensing};
+use supple::scenario::{Playback, Script, Sensing};
 use supple::util::yaml::{Text, flat_parameters};
 
 use crate::support::standing_policy;
@@ -49,12 +52,20 @@ fn trace(scenario: &Scenario, seed: u64) -> Trace {
 }
 
 fn trace_with(scenario: &Scenario, seed: u64, sensing: Sensing) -> Trace {
-    let policy = standing_policy();
-    let script = scenario.script(seed, &policy.provenance.config).unwrap();
-    let rollout = Playback::new(&script, &policy.provenance.config, Box::new(policy.inference().controller()))
-        .unwrap()
-        .with_bodies();
-    rollout.with_sensing(sensing, seed).unwrap().trace()
+    playback(&script(scenario, seed)).with_bodies().with_sensing(sensing, seed).unwrap().trace()
+}
+
+fn script(scenario: &Scenario, seed: u64) -> Script {
+    scenario.script(seed, &standing_policy().provenance.config).unwrap()
+}
+
+fn refusal(scenario: &Scenario) -> String {
+    scenario.script(0, &standing_policy().provenance.config).unwrap_err().to_string()
+}
+
+fn playback(script: &Script) -> Playback<'static> {
+    let agent = Arc::new(Agent::from(standing_policy()));
+    Playback::new(script, &agent.config, agent.shared_controller()).unwrap()
 }
 
 /// Every scenario, cut short.
@@ -79,7 +90,7 @@ fn what_would_come_after_the_end_is_told() {
         ("push", "--at-s=1", None),
         ("walk", "--duration-s=1", None),
     ] {
-        let script = scenario(name, &[change]).script(0, &standing_policy().provenance.config).unwrap();
+        let script = script(&scenario(name, &[change]), 0);
         let found = script.too_late();
         assert_eq!(found.is_some(), what.is_some(), "{name}: {found:?}");
         assert!(what.is_none_or(|what| found.unwrap().starts_with(what)), "{name}");
@@ -88,9 +99,7 @@ fn what_would_come_after_the_end_is_told() {
 
 #[test]
 fn encoders_are_off_by_what_the_seed_draws_if_asked() {
-    let config = standing_policy().provenance.config;
-    let offsets =
-        |changes: &[&str], seed| scenario("walk", changes).script(seed, &config).unwrap().conditions.encoder_bias;
+    let offsets = |changes: &[&str], seed| script(&scenario("walk", changes), seed).conditions.encoder_bias;
     assert_eq!(offsets(&[], 1), [0.0; 12]);
     let asked = ["--encoder-bias-sd-rad=0.01"];
     assert_eq!(offsets(&asked, 1), offsets(&asked, 1));
@@ -100,17 +109,15 @@ fn encoders_are_off_by_what_the_seed_draws_if_asked() {
 
 #[test]
 fn loads_on_ropes_are_not_aimed_at_robots_that_turn() {
-    let config = standing_policy().provenance.config;
     for name in ["pulley", "pendulum"] {
-        let refusal = scenario(name, &["--yaw-rad-s=0.5"]).script(0, &config).unwrap_err().to_string();
+        let refusal = refusal(&scenario(name, &["--yaw-rad-s=0.5"]));
         assert!(refusal.starts_with("--yaw-rad-s is 0.5, expected 0"), "{refusal}");
     }
 }
 
 #[test]
 fn an_outdoor_walk_beyond_the_ground_is_refused() {
-    let far = scenario("outdoor", &["--forward-m-s=1", "--duration-s=75"]);
-    let refusal = far.script(0, &standing_policy().provenance.config).unwrap_err().to_string();
+    let refusal = refusal(&scenario("outdoor", &["--forward-m-s=1", "--duration-s=75"]));
     assert!(refusal.contains("a way of at most 57 m at the command"), "{refusal}");
 }
 
@@ -123,7 +130,6 @@ fn the_same_seed_gives_the_same_trace_bit_for_bit() {
 
 #[test]
 fn traces_are_whole_and_finite_and_metrics_in_range() {
-    let config = standing_policy().provenance.config;
     for scenario in all() {
         let trace = trace(&scenario, 1);
         let name = scenario.name();
@@ -133,7 +139,7 @@ fn traces_are_whole_and_finite_and_metrics_in_range() {
             assert!(numbers.iter().all(|number| number.is_finite()), "{name}");
             assert!(frame.power_w >= 0.0 && frame.reward >= 0.0 && frame.reward <= 1.3, "{name}");
         }
-        for metric in scenario.metrics(&scenario.script(1, &config).unwrap(), &trace) {
+        for metric in scenario.metrics(&script(&scenario, 1), &trace) {
             assert!(metric.value.is_none_or(f64::is_finite), "{name}: {metric:?}");
         }
     }
@@ -169,9 +175,8 @@ fn estimates_stay_finite_when_the_robot_is_thrown() {
 
 #[test]
 fn every_element_of_every_scene_has_a_name() {
-    let config = standing_policy().provenance.config;
     for scenario in all() {
-        let model = scenario.script(0, &config).unwrap().scene.compile_visual().unwrap();
+        let model = script(&scenario, 0).scene.compile_visual().unwrap();
         for kind in [Object::Body, Object::Joint, Object::Geom, Object::Site, Object::HeightField, Object::Tendon] {
             for id in 0..model.count(kind) {
                 assert!(!model.name(kind, id).is_empty(), "{}: {kind:?} {id} has no name", scenario.name());
@@ -182,8 +187,7 @@ fn every_element_of_every_scene_has_a_name() {
 
 #[test]
 fn the_box_weighs_2_kg_and_is_a_half_metre_cube() {
-    let config = standing_policy().provenance.config;
-    let model = scenario("box", &[]).script(0, &config).unwrap().scene.compile().unwrap();
+    let model = script(&scenario("box", &[]), 0).scene.compile().unwrap();
     let body = model.id(Object::Body, "box").unwrap();
     assert_eq!(model.body_mass()[body], 2.0);
     assert_eq!(model.geom(model.id(Object::Geom, "box").unwrap()).size, [0.25; 3]);
@@ -191,8 +195,7 @@ fn the_box_weighs_2_kg_and_is_a_half_metre_cube() {
 
 #[test]
 fn the_ball_pit_has_400_balls_of_half_a_kilogram_3_cm_apart() {
-    let config = standing_policy().provenance.config;
-    let model = scenario("ball-pit", &[]).script(0, &config).unwrap().scene.compile().unwrap();
+    let model = script(&scenario("ball-pit", &[]), 0).scene.compile().unwrap();
     let balls: Vec<usize> = (0..400).map(|ball| model.id(Object::Body, &format!("ball_{ball}")).unwrap()).collect();
     assert!(model.id(Object::Body, "ball_400").is_err());
     assert!(balls.iter().all(|ball| model.body_mass()[*ball] == 0.5));
@@ -203,8 +206,7 @@ fn the_ball_pit_has_400_balls_of_half_a_kilogram_3_cm_apart() {
 #[test]
 fn a_push_changes_the_velocity_by_its_size_in_its_direction() {
     let scenario = scenario("push", &["--duration-s=2", "--at-s=0.5", "--push-m-s=0.4", "--direction-deg=90"]);
-    let config = standing_policy().provenance.config;
-    let script = scenario.script(2, &config).unwrap();
+    let script = script(&scenario, 2);
     let trace = trace(&scenario, 2);
     let first = trace.frames.iter().find(|frame| frame.mark.is_some()).unwrap();
     assert!((first.time_s - script.pushes().next().unwrap().at_s).abs() < 1.5 / 60.0);
@@ -217,7 +219,7 @@ fn a_push_changes_the_velocity_by_its_size_in_its_direction() {
 fn odd_numbers_of_balls_and_strong_leashes_do_not_crash() {
     for balls in [0, 1, 1000] {
         let pit = scenario("ball-pit", &["--duration-s=0.2", &format!("--balls={balls}")]);
-        let model = pit.script(0, &standing_policy().provenance.config).unwrap().scene.compile().unwrap();
+        let model = script(&pit, 0).scene.compile().unwrap();
         let found = (0..model.count(Object::Body)).filter(|body| model.name(Object::Body, *body).starts_with("ball_"));
         assert_eq!((found.count(), trace(&pit, 0).frames.len()), (balls, 12));
     }
@@ -328,30 +330,23 @@ fn rubble_is_clear_of_the_robot_at_its_start_and_lies_still() {
 
 #[test]
 fn a_seed_is_a_scene_and_another_seed_another_one() {
-    let config = standing_policy().provenance.config;
     for name in ["rubble", "outdoor", "terrain"] {
-        let scenario = scenario(name, &["--duration-s=1"]);
-        let script = |seed| scenario.script(seed, &config).unwrap().scene;
-        assert!(script(3) == script(3) && script(3) != script(4), "{name}");
+        let scene = |seed| script(&scenario(name, &["--duration-s=1"]), seed).scene;
+        assert!(scene(3) == scene(3) && scene(3) != scene(4), "{name}");
     }
 }
 
 #[test]
 fn getting_past_an_obstacle_is_an_event_and_happens_once_from_each_start() {
     // Nothing to cross: the end of an empty field lies behind the robot at once when it is put there.
-    let mut script = scenario("rubble", &["--duration-s=0.5", "--blocks=0", "--mats=0"])
-        .script(0, &standing_policy().provenance.config)
-        .unwrap();
+    let mut script = script(&scenario("rubble", &["--duration-s=0.5", "--blocks=0", "--mats=0"]), 0);
     script.goal.as_mut().unwrap().ahead_m = -1.0;
-    let policy = standing_policy();
-    let trace =
-        Playback::new(&script, &policy.provenance.config, Box::new(policy.inference().controller())).unwrap().trace();
+    let trace = playback(&script).trace();
     let reached: Vec<_> = trace.events.iter().filter(|event| event.kind == EventKind::Success).collect();
     assert_eq!(reached.len(), 1);
     assert_eq!(reached[0].text, "got across the rubble");
     // Put back to its start, it gets there again.
-    let mut rollout =
-        Playback::new(&script, &policy.provenance.config, Box::new(policy.inference().controller())).unwrap();
+    let mut rollout = playback(&script);
     let successes = |rollout: &mut Playback| {
         let events = rollout.by_ref().take(5).flat_map(|played| played.events);
         events.filter(|event| event.kind == EventKind::Success).count()
@@ -363,12 +358,10 @@ fn getting_past_an_obstacle_is_an_event_and_happens_once_from_each_start() {
 
 #[test]
 fn crossed_field_ends_a_second_later() {
-    let policy = standing_policy();
     let seconds = |name: &str, options: &[&str]| {
-        let mut script = scenario(name, options).script(0, &policy.provenance.config).unwrap();
+        let mut script = script(&scenario(name, options), 0);
         script.goal.as_mut().unwrap().ahead_m = -10.0;
-        let controller = Box::new(policy.inference().controller());
-        let trace = Playback::new(&script, &policy.provenance.config, controller).unwrap().trace();
+        let trace = playback(&script).trace();
         assert!(trace.reached_goal(), "{name}");
         trace.frames.last().unwrap().time_s
     };
@@ -382,10 +375,7 @@ fn crossed_field_ends_a_second_later() {
 
 #[test]
 fn the_end_of_a_trace_has_all_that_comes_after_a_time_and_no_more() {
-    let policy = standing_policy();
-    let script = scenario("push", &["--duration-s=1", "--at-s=0.5"]).script(0, &policy.provenance.config).unwrap();
-    let trace =
-        Playback::new(&script, &policy.provenance.config, Box::new(policy.inference().controller())).unwrap().trace();
+    let trace = trace(&scenario("push", &["--duration-s=1", "--at-s=0.5"]), 0);
     assert_eq!(trace.after(-1.0), trace);
     let pushed_s = trace.events[0].time_s;
     let end = trace.after(pushed_s);
@@ -397,15 +387,11 @@ fn the_end_of_a_trace_has_all_that_comes_after_a_time_and_no_more() {
 
 #[test]
 fn who_passes_beside_an_obstacle_has_not_crossed_it() {
-    let policy = standing_policy();
-    let mut script = scenario("rubble", &["--duration-s=0.5", "--blocks=0", "--mats=0"])
-        .script(0, &policy.provenance.config)
-        .unwrap();
+    let mut script = script(&scenario("rubble", &["--duration-s=0.5", "--blocks=0", "--mats=0"]), 0);
     let goal = script.goal.as_mut().unwrap();
     assert_eq!(goal.half_width_m, 1.2);
     // As if the robot had gone round.
     (goal.ahead_m, goal.half_width_m) = (-1.0, 0.0);
-    let trace =
-        Playback::new(&script, &policy.provenance.config, Box::new(policy.inference().controller())).unwrap().trace();
+    let trace = playback(&script).trace();
     assert!(!trace.reached_goal());
 }

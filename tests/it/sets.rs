@@ -4,13 +4,10 @@ use std::path::Path;
 
 use supple::policy::{Policy, shipped};
 
-use crate::support::{run, small_config_file};
+use crate::support::{complaint, run, small_config_file, success};
 
 fn train(folder: &Path, arguments: &[&str]) -> String {
-    let output = run("train", folder, arguments);
-    let told = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(output.status.success(), "{told}");
-    told
+    complaint(&success(run("train", folder, arguments)))
 }
 
 fn policy(folder: &Path, run: &str) -> Vec<u8> {

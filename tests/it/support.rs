@@ -1,14 +1,17 @@
 //! What several tests need, also those of the other packages.
 #![allow(dead_code)] // No test uses all of it.
 
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
+use std::time::{Duration, Instant};
 
 use serde_json::Value;
 use supple::config::Config;
 use supple::network::ActorCritic;
 use supple::policy::{Policy, Provenance, external, onnx};
 use supple::robot::{JOINTS, Robot};
+use supple::train::checkpoint::Checkpoint;
 use supple::util::random::{Purpose, stream};
 
 /// A configuration small enough for tests: the paper's task, a tiny learner.
@@ -74,6 +77,38 @@ pub fn run(name: &str, folder: &Path, arguments: &[&str]) -> Output {
     Command::new(program(name)).args(arguments).current_dir(folder).output().unwrap()
 }
 
+/// Runs one of the programs in a folder, with text on its standard input.
+pub fn with_input(name: &str, folder: &Path, arguments: &[&str], input: &[u8]) -> Output {
+    let mut child = Command::new(program(name))
+        .args(arguments)
+        .current_dir(folder)
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    // It may have seen enough before all is written.
+    let _ = child.stdin.take().unwrap().write_all(input);
+    child.wait_with_output().unwrap()
+}
+
+/// A program's output, which has ended well.
+pub fn success(output: Output) -> Output {
+    assert!(output.status.success(), "{}", complaint(&output));
+    output
+}
+
+/// Runs a program that refuses, with exit code 2, one line that has these words, and within seconds. Returns the line.
+pub fn refused(name: &str, folder: &Path, arguments: &[&str], words: &str) -> String {
+    let begun = Instant::now();
+    let output = run(name, folder, arguments);
+    let complaint = complaint(&output);
+    assert_eq!(output.status.code(), Some(2), "{arguments:?}: {complaint}");
+    assert!(complaint.contains(words) && complaint.lines().count() == 1, "{arguments:?}: {complaint}");
+    assert!(begun.elapsed() < Duration::from_secs(60), "{arguments:?} took {:?}", begun.elapsed());
+    complaint
+}
+
 /// A file of the repository.
 pub fn repository(path: &str) -> PathBuf {
     let package = Path::new(env!("CARGO_MANIFEST_DIR"));
@@ -130,4 +165,19 @@ pub fn assert_same(a: &[Value], b: &[Value]) {
             assert_eq!(value, &b[key], "{key} of iteration {}", a["iteration"]);
         }
     }
+}
+
+/// Two runs of the same bits, whole: metrics, checkpoint and policy.
+pub fn assert_same_run(a: &Path, b: &Path) {
+    assert_same(&metrics(a), &metrics(b));
+    let load = |folder: &Path| {
+        let (mut checkpoint, passed_over) = Checkpoint::load(folder).unwrap();
+        assert!(passed_over.is_none());
+        // The only number that differs between two runs of the same seed.
+        checkpoint.run.elapsed_s = 0.0;
+        checkpoint
+    };
+    assert!(load(a) == load(b), "the last checkpoints differ");
+    let policy = |folder: &Path| std::fs::read(folder.join("policy.safetensors")).unwrap();
+    assert!(policy(a) == policy(b), "the policies differ");
 }

@@ -1,5 +1,8 @@
 //! External policies and imported robots, and policies of ours that travel.
 
+use std::path::Path;
+use std::sync::Arc;
+
 use supple::config::Config;
 use supple::mujoco::{Object, VERSION};
 use supple::policy::external::describe;
@@ -12,12 +15,32 @@ use supple::scenario::trace::Trace;
 use supple::sim::Scene;
 
 use crate::scenarios;
-use crate::support::{broken_policy, complaint, example, repository, robot, run, standing_policy};
+use crate::support::{
+    broken_policy, complaint, example, refused, repository, robot, run, standing_policy, success, with_input,
+};
 
 fn walk(agent: &Agent, duration_s: f64) -> Trace {
     let task = Task { duration_s, ..defaults::<Walk>("walk").unwrap().task };
     let script = Scenario::Walk(Walk { task }).script(0, &agent.config).unwrap();
     Playback::new(&script, &agent.config, agent.controller()).unwrap().trace()
+}
+
+fn load(robot: &Path) -> Arc<Robot> {
+    Robot::load(robot.to_str().unwrap()).unwrap()
+}
+
+/// The standing policy on a robot.
+fn standing_on(robot: &Path) -> Agent {
+    let mut agent: Agent = standing_policy().into();
+    agent.run_on(&load(robot));
+    agent
+}
+
+/// Writes the robot for tests with a change, and with the meshes of its own folder.
+fn changed(path: &Path, before: &str, after: &str) {
+    let xml = std::fs::read_to_string(robot("quadruped.xml")).unwrap();
+    let xml = xml.replace("meshdir=\"assets\"", &format!("meshdir=\"{}\"", robot("assets").display()));
+    std::fs::write(path, xml.replacen(before, after, 1)).unwrap();
 }
 
 #[test]
@@ -59,18 +82,14 @@ fn a_description_names_its_robot_which_lies_beside_it() {
 
 #[test]
 fn our_own_model_imported_walks_bit_for_bit_as_before() {
-    let path = repository("models/go1.xml");
-    let found = Robot::load(path.to_str().unwrap()).unwrap();
-    let mut agent: Agent = standing_policy().into();
-    let before = walk(&agent, 1.0);
-    agent.run_on(&found);
-    assert_eq!(walk(&agent, 1.0), before);
+    let imported = standing_on(&repository("models/go1.xml"));
+    assert_eq!(walk(&imported, 1.0), walk(&standing_policy().into(), 1.0));
 }
 
 #[test]
 fn import_report_lists_what_was_left_out() {
-    let path = robot("scene.xml");
-    let report = Robot::load(path.to_str().unwrap()).unwrap().report.join("\n");
+    let found = load(&robot("scene.xml"));
+    let report = found.report.join("\n");
     for expected in [
         "mass: 12.800 kg",
         "joint damping: 1 to 2 N m s/rad, set to 0",
@@ -84,7 +103,7 @@ fn import_report_lists_what_was_left_out() {
     ] {
         assert!(report.contains(expected), "{expected}\n{report}");
     }
-    let scene = Scene::flat(Robot::load(path.to_str().unwrap()).unwrap(), 1.0 / 240.0);
+    let scene = Scene::flat(found, 1.0 / 240.0);
     for model in [scene.compile().unwrap(), scene.compile_visual().unwrap()] {
         assert!((model.body_mass().iter().sum::<f64>() - 12.8).abs() < 1e-9);
         assert!(model.damping().iter().chain(model.friction_loss()).all(|value| *value == 0.0));
@@ -100,11 +119,9 @@ fn import_report_lists_what_was_left_out() {
 #[test]
 fn defaults_of_a_robots_file_do_not_reach_the_rest_of_the_scene() {
     let folder = tempfile::tempdir().unwrap();
-    let xml = std::fs::read_to_string(robot("quadruped.xml")).unwrap();
-    let xml = xml.replace("meshdir=\"assets\"", &format!("meshdir=\"{}\"", robot("assets").display()));
     let path = folder.path().join("robot.xml");
-    std::fs::write(&path, xml.replacen("<default>", "<default><geom group=\"5\" solref=\"0.5 1\"/>", 1)).unwrap();
-    let model = Scene::flat(Robot::load(path.to_str().unwrap()).unwrap(), 1.0 / 240.0).compile().unwrap();
+    changed(&path, "<default>", "<default><geom group=\"5\" solref=\"0.5 1\"/>");
+    let model = Scene::flat(load(&path), 1.0 / 240.0).compile().unwrap();
     assert_eq!(model.geom(model.id(Object::Geom, "ground").unwrap()).group, 0);
     assert_eq!(model.geom(model.id(Object::Geom, "FR_foot").unwrap()).group, 3);
 }
@@ -112,9 +129,7 @@ fn defaults_of_a_robots_file_do_not_reach_the_rest_of_the_scene() {
 #[test]
 fn another_robot_stands_and_its_names_do_not_matter() {
     let standing = |name: &str| {
-        let path = robot(name);
-        let mut agent: Agent = standing_policy().into();
-        agent.run_on(&Robot::load(path.to_str().unwrap()).unwrap());
+        let agent = standing_on(&robot(name));
         (walk(&agent, 1.0), Robot::load(&agent.config.robot.model).unwrap())
     };
     let (usual, found) = standing("quadruped.xml");
@@ -130,9 +145,7 @@ fn another_robot_stands_and_its_names_do_not_matter() {
 
 #[test]
 fn every_scenario_plays_on_another_robot() {
-    let path = robot("quadruped.xml");
-    let mut agent: Agent = standing_policy().into();
-    agent.run_on(&Robot::load(path.to_str().unwrap()).unwrap());
+    let agent = standing_on(&robot("quadruped.xml"));
     for scenario in scenarios::all() {
         let script = scenario.script(0, &agent.config).unwrap();
         let trace = Playback::new(&script, &agent.config, agent.controller()).unwrap().trace();
@@ -143,11 +156,9 @@ fn every_scenario_plays_on_another_robot() {
 #[test]
 fn the_angles_of_a_robots_file_turn_nothing_else() {
     let folder = tempfile::tempdir().unwrap();
-    let xml = std::fs::read_to_string(robot("quadruped.xml")).unwrap();
-    let xml = xml.replace("meshdir=\"assets\"", &format!("meshdir=\"{}\"", robot("assets").display()));
     let mats = ["radian", "degree"].map(|unit| {
         let path = folder.path().join(format!("{unit}.xml"));
-        std::fs::write(&path, xml.replacen("angle=\"radian\"", &format!("angle=\"{unit}\""), 1)).unwrap();
+        changed(&path, "angle=\"radian\"", &format!("angle=\"{unit}\""));
         let mut config = Config::load("compliant").unwrap();
         config.robot.model = path.to_str().unwrap().to_owned();
         let model = scenarios::scenario("rubble", &[]).script(0, &config).unwrap().scene.compile().unwrap();
@@ -161,19 +172,7 @@ fn the_angles_of_a_robots_file_turn_nothing_else() {
 fn policy_run_answers_each_line_with_joint_targets() {
     let folder = tempfile::tempdir().unwrap();
     standing_policy().save(&folder.path().join("p.safetensors")).unwrap();
-    let ask = |text: &str| {
-        use std::io::Write;
-        let mut child = std::process::Command::new(env!("CARGO_BIN_EXE_policy"))
-            .args(["run", "p.safetensors"])
-            .current_dir(folder.path())
-            .stdin(std::process::Stdio::piped())
-            .stdout(std::process::Stdio::piped())
-            .stderr(std::process::Stdio::piped())
-            .spawn()
-            .unwrap();
-        child.stdin.take().unwrap().write_all(text.as_bytes()).unwrap();
-        child.wait_with_output().unwrap()
-    };
+    let ask = |text: &str| with_input("policy", folder.path(), &["run", "p.safetensors"], text.as_bytes());
     let line = serde_json::to_string(&vec![0.1; 83]).unwrap();
     let output = ask(&format!("{line}\n{line}\n"));
     let answers: Vec<Vec<f64>> =
@@ -207,8 +206,7 @@ fn external_policy_is_shown_verified_and_run() {
     let folder = tempfile::tempdir().unwrap();
     example(folder.path(), "rsl_rl");
     let program = |arguments: &[&str]| {
-        let output = run("policy", folder.path(), arguments);
-        assert!(output.status.success(), "{}", complaint(&output));
+        let output = success(run("policy", folder.path(), arguments));
         String::from_utf8(output.stdout).unwrap()
     };
     let shown = program(&["show", "rsl_rl.yaml"]);
@@ -225,11 +223,10 @@ fn external_policy_is_shown_verified_and_run() {
     // As the policy acts in a program.
     let agent = Agent::load(&folder.path().join("rsl_rl.yaml")).unwrap();
     let expected = agent.inference().joint_targets(&[0.5; 48], &mut InferenceBuffers::default());
-    let command = format!("echo '{:?}' | {} run rsl_rl.yaml", [0.5; 48], crate::support::program("policy"));
-    let output = std::process::Command::new("sh").args(["-c", &command]).current_dir(folder.path()).output().unwrap();
+    let observation = format!("{:?}\n", [0.5; 48]);
+    let output = with_input("policy", folder.path(), &["run", "rsl_rl.yaml"], observation.as_bytes());
     assert_eq!(serde_json::from_slice::<[f64; 12]>(&output.stdout).unwrap(), expected);
-    let output = run("policy", folder.path(), &["verify", "rsl_rl.yaml", "--samples", "5"]);
-    assert!(output.status.code() == Some(2) && complaint(&output).contains("--samples"), "{}", complaint(&output));
+    refused("policy", folder.path(), &["verify", "rsl_rl.yaml", "--samples", "5"], "--samples");
 }
 
 #[test]
@@ -241,7 +238,6 @@ fn nan_from_a_network_is_a_fault() {
     let fault = trace.fault().unwrap();
     assert!(fault.time_s == 0.0 && fault.text.contains("FR_hip is NaN"), "{fault:?}");
     for command in ["verify", "calibrate"] {
-        let output = run("policy", folder.path(), &[command, "broken.yaml"]);
-        assert!(output.status.code() == Some(2) && complaint(&output).contains("NaN"), "{}", complaint(&output));
+        refused("policy", folder.path(), &[command, "broken.yaml"], "NaN");
     }
 }

@@ -120,7 +120,7 @@ impl Body {
         let substeps = config.simulation.physics_rate_hz / STATE_HZ;
         let commands = Arc::new(Mutex::new(motor::damping()));
         let motors = Motors { commands: Arc::clone(&commands), limits: robot.torque_limits, rest: robot.nominal_pose };
-        let mut playback = Playback::owned(script, config, Box::new(motors))?.with_bodies();
+        let mut playback = Playback::new(&script, &config, Box::new(motors))?.with_bodies();
         playback.hold_clock(true);
         let mut rng = stream(seed, Purpose::Sensor, 0, 0);
         let sensors = noise.map(|noise| Sensors::new(noise, &mut rng));

@@ -116,10 +116,7 @@ pub fn external_json(name: &str, agent: &Agent) -> serde_json::Value {
         "joints": order.map(joint_name),
         "nominal_pose_rad": order.map(|joint| action.nominal_pose[joint]),
         "action": {
-            "meaning": match action.meaning {
-                Meaning::OffsetFromNominal => "offset_from_nominal",
-                Meaning::JointAngle => "joint_angle",
-            },
+            "meaning": action.meaning,
             "scale_rad": action.scale_rad,
             "clip": limited(&action.clip),
         },

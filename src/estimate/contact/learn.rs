@@ -1,10 +1,11 @@
 //! Supervised training of the contact network with candle: cross-entropy loss, Adam, learning rate falling to zero.
 
 use candle_core::{Device, Result, Tensor, Var};
-use candle_nn::{AdamW, Linear, Module, Optimizer, ParamsAdamW};
+use candle_nn::{AdamW, Linear, Optimizer, ParamsAdamW};
 use rand::seq::SliceRandom;
 
 use crate::network::{Layer, Mlp};
+use crate::ppo::candle::forward;
 use crate::util::random::{Purpose, stream};
 
 /// Training samples: inputs with their labels.
@@ -104,18 +105,6 @@ fn network(inputs: usize, outputs: usize, learning: &Learning) -> Result<(Vec<Li
         variables.extend([weight, bias]);
     }
     Ok((layers, variables))
-}
-
-/// Evaluates the layers as [`crate::network::PackedMlp`] does.
-fn forward(layers: &[Linear], inputs: &Tensor) -> Result<Tensor> {
-    let mut x = inputs.clone();
-    for (index, layer) in layers.iter().enumerate() {
-        x = layer.forward(&x)?;
-        if index + 1 < layers.len() {
-            x = x.elu(1.0)?;
-        }
-    }
-    Ok(x)
 }
 
 /// Computes `mean(max(x, 0) − x y + ln(1 + exp(−|x|)))`; candle's own cross-entropy takes `ln 0` where the network is

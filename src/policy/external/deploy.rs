@@ -10,7 +10,9 @@ use std::path::Path;
 
 use serde::Deserialize;
 
-use super::framework::{Found, MAX_HISTORY, Result, TranslationFault, ages, for_each_joint, gain, quantity, steps_ago};
+use super::framework::{
+    Found, MAX_HISTORY, Result, TranslationFault, ages, for_each_joint, quantity, simulation, steps_ago, value,
+};
 use crate::observation::{Numbers, Observed, Quantity};
 use crate::policy::inference::Meaning;
 use crate::robot::{JOINTS, joint_names};
@@ -66,7 +68,7 @@ pub(super) fn read(path: &Path) -> Result<Found> {
     let action = actions.remove(ACTION);
     let (Some(action), true) = (action, actions.is_empty()) else {
         let others: Vec<String> = actions.into_keys().collect();
-        return Err(value("actions", format!("has {}", others.join(", ")), &format!("{ACTION} and nothing else")));
+        return Err(value("actions", format!("has {}", others.join(", ")), format!("{ACTION} and nothing else")));
     };
     let scale = for_each_joint("actions.JointPositionAction.scale", &action.scale)?;
     let mut notes = Vec::new();
@@ -78,10 +80,8 @@ pub(super) fn read(path: &Path) -> Result<Found> {
         meaning: meaning(&action.offset, &nominal_pose)?,
         nominal_pose,
         // The SDK's motors are Supple's joints, in the same order.
-        kp_n_m_per_rad: gain("stiffness", &stiffness, &motors)?,
-        kd_n_m_s_per_rad: gain("damping", &damping, &motors)?,
+        simulation: simulation(policy_rate(step_dt)?, [("stiffness", &stiffness), ("damping", &damping)], &motors)?,
         joints: joints.into(),
-        policy_rate_hz: policy_rate(step_dt)?,
         observation,
         history,
         scale_rad: Numbers::Each(scale.to_vec()),
@@ -157,11 +157,8 @@ fn observation(terms: &Value) -> Result<(Vec<Observed>, Vec<u32>)> {
             .map_err(|error| TranslationFault::Text(format!("{key}: {}", error.without_name())))?;
         let length = term.history_length.unwrap_or(1);
         if length > MAX_HISTORY {
-            return Err(value(
-                &format!("{key}.history_length"),
-                format!("is {length}"),
-                &format!("at most {MAX_HISTORY} steps"),
-            ));
+            let key = format!("{key}.history_length");
+            return Err(value(&key, format!("is {length}"), format!("at most {MAX_HISTORY} steps")));
         }
         let history = ages(length);
         let own = if whole { vec![0] } else { history.clone() };
@@ -217,7 +214,7 @@ fn scales(key: &str, term: &RawTerm, width: usize) -> Result<Vec<f64>> {
     if scales.len() == width && scales.iter().all(|scale| scale.is_finite()) {
         Ok(scales)
     } else {
-        Err(value(&format!("{key}.scale"), format!("has {} numbers", scales.len()), &format!("{width} finite ones")))
+        Err(value(&format!("{key}.scale"), format!("has {} numbers", scales.len()), format!("{width} finite ones")))
     }
 }
 
@@ -258,10 +255,6 @@ fn is_of_all_joints(indices: &Value) -> bool {
 
 fn of_some_joints(key: &str) -> TranslationFault {
     value(key, "chooses joints".to_owned(), "all 12 in the policy's order: a description observes and moves all")
-}
-
-fn value(key: &str, found: String, expected: &str) -> TranslationFault {
-    TranslationFault::Value { key: key.to_owned(), found, expected: expected.to_owned() }
 }
 
 #[cfg(test)]

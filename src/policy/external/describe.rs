@@ -7,10 +7,10 @@ taken.
 
 use std::path::Path;
 
-use super::framework::TranslationFault;
+use super::framework::{Found, TranslationFault};
 use super::text::PolicyDescription;
 use super::{POLICY, deploy, metadata};
-use crate::config::{Config, RobotModel, Simulation};
+use crate::config::{Config, RobotModel};
 use crate::observation::{NamedNumbers, Numbers, Observed, Quantity};
 use crate::policy::inference::Meaning;
 use crate::policy::{Policy, Provenance};
@@ -22,9 +22,6 @@ const OURS: &str = "is a policy of Supple:";
 
 /// Robot that is assumed where none is named.
 const ROBOT: &str = "go2";
-
-/// Smallest physics rate that is assumed where a file has none \[Hz\]: that of Isaac Lab and mjlab at 50 policy steps a second.
-const PHYSICS_RATE_HZ: u32 = 200;
 
 /// Returns true if [`describe`] wrote this YAML text.
 pub fn is_described_by_us(text: &str) -> bool {
@@ -46,7 +43,7 @@ pub fn describe(policy: &Policy, onnx: &str) -> String {
         let (offset, scale) = (Some(Numbers::Each(offset)), Some(Numbers::All(scale)));
         Observed { quantity: Quantity::LastTarget, offset, scale, ..observed }
     });
-    text(title, onnx, config, policy.nominal_pose(), observation, ("joint_angle", 1.0))
+    text(title, onnx, config, policy.nominal_pose(), observation, (Meaning::JointAngle, 1.0))
 }
 
 /// Returns the YAML description of the ONNX file `onnx` of a network trained in the environment of `config`: its inputs
@@ -62,7 +59,7 @@ pub fn describe_network(config_name: &str, config: &Config, onnx: &str) -> Strin
         let offset = if is_nominal_height { Some(height.clone()) } else { observed.offset.clone() };
         Observed { offset, ..observed.clone() }
     });
-    text(title, onnx, config, &pose, observation, ("offset_from_nominal", config.action.scale_rad))
+    text(title, onnx, config, &pose, observation, (Meaning::OffsetFromNominal, config.action.scale_rad))
 }
 
 /// Returns the YAML description, for the ONNX file `onnx`, of the policy that a file of its framework describes: a `deploy.yaml`,
@@ -81,39 +78,13 @@ pub fn translate(source: &Path, onnx: &str, robot: Option<&str>) -> Result<Strin
     if robot.is_none() {
         found.notes.push(("robot", "check this: the file names no robot"));
     }
-    let policy_rate_hz = found.policy_rate_hz;
     found.notes.push(("physics_rate_hz", "check this: the file has none"));
     found.notes.push(("latency_s", "check this: the file has none; delay of the joint target"));
-    let description = PolicyDescription {
-        title: format!(
-            "{onnx} as {} describes it, by `policy describe`. Check what is marked.",
-            source.file_name().unwrap_or_default().display()
-        ),
-        onnx,
-        robot: &RobotModel {
-            model: robot.unwrap_or(ROBOT).to_owned(),
-            friction_loss_n_m: 0.0,
-            damping_n_m_s_per_rad: 0.0,
-        },
-        simulation: &Simulation {
-            physics_rate_hz: policy_rate_hz * PHYSICS_RATE_HZ.div_ceil(policy_rate_hz),
-            policy_rate_hz,
-            kp_n_m_per_rad: found.kp_n_m_per_rad,
-            kd_n_m_s_per_rad: found.kd_n_m_s_per_rad,
-            latency_s: 0.0,
-        },
-        joints: found.joints,
-        nominal_pose: &found.nominal_pose,
-        observation: found.observation,
-        history: found.history,
-        meaning: match found.meaning {
-            Meaning::OffsetFromNominal => "offset_from_nominal",
-            Meaning::JointAngle => "joint_angle",
-        },
-        scale_rad: found.scale_rad,
-        notes: &found.notes,
-    };
-    Ok(description.to_string())
+    let file = source.file_name().unwrap_or_default().display();
+    let title = format!("{onnx} as {file} describes it, by `policy describe`. Check what is marked.");
+    let model = robot.unwrap_or(ROBOT).to_owned();
+    let robot = &RobotModel { model, friction_loss_n_m: 0.0, damping_n_m_s_per_rad: 0.0 };
+    Ok(PolicyDescription { title, onnx, robot, found }.to_string())
 }
 
 fn text(
@@ -122,23 +93,21 @@ fn text(
     Config { robot, simulation, .. }: &Config,
     nominal_pose: &Joints,
     observation: impl Iterator<Item = Observed>,
-    (meaning, scale_rad): (&'static str, f64),
+    (meaning, scale_rad): (Meaning, f64),
 ) -> String {
-    let description = PolicyDescription {
-        // The first line says whose it is.
-        title: title.replace(char::is_control, " "),
-        onnx,
-        robot,
-        simulation,
+    let found = Found {
         joints: joint_names().into(),
-        nominal_pose,
+        nominal_pose: *nominal_pose,
+        simulation: simulation.clone(),
         observation: observation.collect(),
         history: vec![0],
         meaning,
         scale_rad: Numbers::All(scale_rad),
-        notes: &[],
+        notes: Vec::new(),
     };
-    description.to_string()
+    // The first line says whose it is.
+    let title = title.replace(char::is_control, " ");
+    PolicyDescription { title, onnx, robot, found }.to_string()
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! What the files of other frameworks say of a policy, in the terms of a description of ours.
 
-use crate::config::PerJoint;
+use crate::config::{PerJoint, Simulation};
 use crate::observation::{Numbers, Observed, Quantity, StepsAgo};
 use crate::policy::inference::Meaning;
 use crate::robot::{JOINTS, joint_names};
@@ -9,15 +9,13 @@ use crate::util::files::FileError;
 /// Longest history of a term \[policy steps\].
 pub(super) const MAX_HISTORY: u32 = 200;
 
-/// A description of another framework, in the terms of ours.
+/// What a description says, beside the network and the robot.
 pub(super) struct Found {
     /// Names of the joints in the policy's order.
     pub(super) joints: Vec<String>,
     /// Nominal pose in that order \[rad\].
     pub(super) nominal_pose: [f64; JOINTS],
-    pub(super) kp_n_m_per_rad: PerJoint,
-    pub(super) kd_n_m_s_per_rad: PerJoint,
-    pub(super) policy_rate_hz: u32,
+    pub(super) simulation: Simulation,
     pub(super) observation: Vec<Observed>,
     /// Ages of the whole observation \[policy steps\].
     pub(super) history: Vec<u32>,
@@ -26,6 +24,21 @@ pub(super) struct Found {
     pub(super) scale_rad: Numbers,
     /// Comments: the key beside which a comment goes, and the comment.
     pub(super) notes: Vec<(&'static str, &'static str)>,
+}
+
+/// Smallest physics rate that is assumed where a file has none \[Hz\]: that of Isaac Lab and mjlab at 50 policy steps a second.
+const PHYSICS_RATE_HZ: u32 = 200;
+
+/// Returns a simulation at this policy rate, with the gains of keys and lists, in the order of `joints`; other rates and the latency
+/// are in no file.
+pub(super) fn simulation(policy_rate_hz: u32, [kp, kd]: [(&str, &[f64]); 2], joints: &[String]) -> Result<Simulation> {
+    Ok(Simulation {
+        physics_rate_hz: policy_rate_hz * PHYSICS_RATE_HZ.div_ceil(policy_rate_hz),
+        policy_rate_hz,
+        kp_n_m_per_rad: gain(kp.0, kp.1, joints)?,
+        kd_n_m_s_per_rad: gain(kd.0, kd.1, joints)?,
+        latency_s: 0.0,
+    })
 }
 
 /// A part of a file that has no counterpart in a description of ours, or that is wrong.
@@ -41,6 +54,11 @@ pub(super) enum TranslationFault {
     Text(String),
     #[error(transparent)]
     File(#[from] FileError),
+}
+
+/// Returns the fault of a key that has another value than expected.
+pub(super) fn value(key: &str, found: String, expected: impl Into<String>) -> TranslationFault {
+    TranslationFault::Value { key: key.to_owned(), found, expected: expected.into() }
 }
 
 pub(super) type Result<T> = std::result::Result<T, TranslationFault>;
@@ -85,16 +103,13 @@ pub(super) fn steps_ago(ages: &[u32]) -> Option<StepsAgo> {
 
 /// Checks that a list has one finite number for each joint of a quadruped.
 pub(super) fn for_each_joint(key: &str, found: &[f64]) -> Result<[f64; JOINTS]> {
-    let wrong = |found| {
-        let expected = format!("{JOINTS} finite numbers, one for each joint of a quadruped");
-        TranslationFault::Value { key: key.to_owned(), found, expected }
-    };
+    let wrong = |found| value(key, found, format!("{JOINTS} finite numbers, one for each joint of a quadruped"));
     let numbers = <[f64; JOINTS]>::try_from(found).map_err(|_| wrong(format!("has {} numbers", found.len())))?;
     if numbers.iter().all(|number| number.is_finite()) { Ok(numbers) } else { Err(wrong(format!("is {numbers:?}"))) }
 }
 
 /// Returns the gains of a list in the order of `joints`, names that a leg and a part begin, such as `FL_hip_joint`.
-pub(super) fn gain(key: &str, found: &[f64], joints: &[String]) -> Result<PerJoint> {
+fn gain(key: &str, found: &[f64], joints: &[String]) -> Result<PerJoint> {
     let gains = for_each_joint(key, found)?;
     if gains == [gains[0]; JOINTS] {
         return Ok(PerJoint::Same(gains[0]));
@@ -102,10 +117,10 @@ pub(super) fn gain(key: &str, found: &[f64], joints: &[String]) -> Result<PerJoi
     let mut ordered = [0.0; JOINTS];
     for (place, name) in joint_names().iter().enumerate() {
         let at = joints.iter().position(|joint| joint.strip_suffix("_joint").unwrap_or(joint) == name);
-        let at = at.ok_or_else(|| TranslationFault::Value {
-            key: key.to_owned(),
-            found: format!("differs by joint, and no joint is named {name} or {name}_joint: {}", joints.join(", ")),
-            expected: "such names, or one number for all joints".to_owned(),
+        let at = at.ok_or_else(|| {
+            let found =
+                format!("differs by joint, and no joint is named {name} or {name}_joint: {}", joints.join(", "));
+            value(key, found, "such names, or one number for all joints")
         })?;
         ordered[place] = gains[at];
     }

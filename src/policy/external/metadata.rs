@@ -4,7 +4,9 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use super::framework::{Found, MAX_HISTORY, Result, TranslationFault, ages, for_each_joint, gain, quantity, steps_ago};
+use super::framework::{
+    Found, MAX_HISTORY, Result, TranslationFault, ages, for_each_joint, quantity, simulation, steps_ago, value,
+};
 use crate::observation::{Numbers, Observed, Quantity};
 use crate::policy::inference::Meaning;
 use crate::policy::onnx;
@@ -28,21 +30,23 @@ pub(super) fn read(path: &Path) -> Result<Found> {
 fn found(entries: &Entries) -> Result<Found> {
     let joints: Vec<String> = entries.list("joint_names")?.iter().map(|name| short(name).to_owned()).collect();
     if joints.len() != JOINTS {
-        let expected = format!("the {JOINTS} joints of a quadruped");
         let found = format!("has {} names", joints.len());
-        return Err(TranslationFault::Value { key: "joint_names".into(), found, expected });
+        return Err(value("joint_names", found, format!("the {JOINTS} joints of a quadruped")));
     }
     let scale = entries.numbers("action_scale")?;
     let scale_rad = match scale[..] {
         [scale] if scale.is_finite() => Numbers::All(scale),
         _ => Numbers::Each(for_each_joint("action_scale", &scale)?.to_vec()),
     };
+    let (stiffness, damping) = (entries.numbers("joint_stiffness")?, entries.numbers("joint_damping")?);
     Ok(Found {
         nominal_pose: for_each_joint("default_joint_pos", &entries.numbers("default_joint_pos")?)?,
-        kp_n_m_per_rad: gain("joint_stiffness", &entries.numbers("joint_stiffness")?, &joints)?,
-        kd_n_m_s_per_rad: gain("joint_damping", &entries.numbers("joint_damping")?, &joints)?,
+        simulation: simulation(
+            POLICY_RATE_HZ,
+            [("joint_stiffness", &stiffness), ("joint_damping", &damping)],
+            &joints,
+        )?,
         joints,
-        policy_rate_hz: POLICY_RATE_HZ,
         observation: observation(entries)?,
         history: vec![0],
         meaning: Meaning::OffsetFromNominal,
@@ -68,11 +72,7 @@ fn observation(entries: &Entries) -> Result<Vec<Observed>> {
     };
     if lengths.len() != terms.len() || !lengths.iter().all(|length| (0.0..=f64::from(MAX_HISTORY)).contains(length)) {
         let expected = format!("one number of steps, at most {MAX_HISTORY}, for each of {} observations", terms.len());
-        return Err(TranslationFault::Value {
-            key: "observation_history_lengths".into(),
-            found: format!("is {lengths:?}"),
-            expected,
-        });
+        return Err(value("observation_history_lengths", format!("is {lengths:?}"), expected));
     }
     let entry = |(term, length): (&String, f64)| {
         let quantity = quantity(term, Quantity::JointOffsets)?;
@@ -91,7 +91,7 @@ fn check_command(entries: &Entries) -> Result<()> {
         return Ok(());
     }
     let expected = format!("one of {}: the command is a velocity here", VELOCITY_COMMANDS.join(", "));
-    Err(TranslationFault::Value { key: "command_names".into(), found: format!("is '{found}'"), expected })
+    Err(value("command_names", format!("is '{found}'"), expected))
 }
 
 /// Returns the name of a joint without the name of its robot before a slash.
@@ -111,13 +111,8 @@ impl Entries {
     }
 
     fn numbers(&self, key: &str) -> Result<Vec<f64>> {
-        let number = |part: &String| {
-            part.parse().map_err(|_| TranslationFault::Value {
-                key: key.to_owned(),
-                found: format!("has '{part}'"),
-                expected: "numbers separated by commas".to_owned(),
-            })
-        };
+        let wrong = |part: &String| value(key, format!("has '{part}'"), "numbers separated by commas");
+        let number = |part: &String| part.parse().map_err(|_| wrong(part));
         self.list(key)?.iter().map(number).collect()
     }
 }
@@ -149,7 +144,7 @@ mod tests {
     fn gains_of_each_joint_are_in_the_robots_order() {
         // Hips, thighs, calves in the file; FL before FR.
         let changes = [("joint_stiffness", "20,21,22,23,30,31,32,33,40,41,42,43")];
-        let gains = found(&metadata(&changes)).ok().unwrap().kp_n_m_per_rad;
+        let gains = found(&metadata(&changes)).ok().unwrap().simulation.kp_n_m_per_rad;
         assert_eq!(gains.joints(), [21.0, 31.0, 41.0, 20.0, 30.0, 40.0, 23.0, 33.0, 43.0, 22.0, 32.0, 42.0]);
     }
 
@@ -158,7 +153,10 @@ mod tests {
         let found = found(&metadata(&[("observation_history_lengths", "0,1,3,1,1,1,1")])).ok().unwrap();
         assert_eq!(found.joints[..2], ["FL_hip_joint", "FR_hip_joint"]);
         assert_eq!(found.nominal_pose[..2], [0.1, -0.1]);
-        assert_eq!((found.kp_n_m_per_rad, found.kd_n_m_s_per_rad), (PerJoint::Same(25.0), PerJoint::Same(0.5)));
+        assert_eq!(
+            (found.simulation.kp_n_m_per_rad, found.simulation.kd_n_m_s_per_rad),
+            (PerJoint::Same(25.0), PerJoint::Same(0.5))
+        );
         assert_eq!(found.scale_rad, Numbers::All(0.25));
         let quantities: Vec<Quantity> = found.observation.iter().map(|observed| observed.quantity).collect();
         assert_eq!(

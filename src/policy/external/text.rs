@@ -2,9 +2,8 @@
 
 use std::fmt::{self, Display, Formatter};
 
+use super::framework::Found;
 use crate::config::{RobotModel, Simulation};
-use crate::observation::{Numbers, Observed};
-use crate::robot::Joints;
 use crate::util::yaml;
 
 /// A description of an external policy; its `Display` is the YAML text.
@@ -14,26 +13,13 @@ pub(super) struct PolicyDescription<'a> {
     /// Path of the ONNX file, relative to the YAML file.
     pub(super) onnx: &'a str,
     pub(super) robot: &'a RobotModel,
-    pub(super) simulation: &'a Simulation,
-    /// Names of the joints in the policy's order.
-    pub(super) joints: Vec<String>,
-    /// Nominal pose, in the order of `joints` \[rad\].
-    pub(super) nominal_pose: &'a Joints,
-    pub(super) observation: Vec<Observed>,
-    /// Ages of the whole observation \[policy steps\].
-    pub(super) history: Vec<u32>,
-    /// Meaning of the outputs: `joint_angle` or `offset_from_nominal`.
-    pub(super) meaning: &'static str,
-    /// Scale of the outputs \[rad\].
-    pub(super) scale_rad: Numbers,
-    /// Comments: the key beside which a comment goes, and the comment.
-    pub(super) notes: &'a [(&'a str, &'a str)],
+    pub(super) found: Found,
 }
 
 impl PolicyDescription<'_> {
     /// Returns the comment of a key, to go at the end of its line.
     fn note(&self, key: &str) -> String {
-        let note = self.notes.iter().find(|(place, _)| *place == key);
+        let note = self.found.notes.iter().find(|(place, _)| *place == key);
         note.map_or_else(String::new, |(_, note)| format!("   # {note}"))
     }
 }
@@ -46,23 +32,23 @@ impl Display for PolicyDescription<'_> {
         // JSON is YAML.
         writeln!(out, "onnx: {}", json(self.onnx))?;
         writeln!(out, "robot: {}{}", json(&yaml::without_defaults(self.robot)), self.note("robot"))?;
-        let Simulation { physics_rate_hz, policy_rate_hz, kp_n_m_per_rad, kd_n_m_s_per_rad, latency_s } =
-            self.simulation;
+        let Found { simulation, joints, nominal_pose, observation, history, meaning, scale_rad, .. } = &self.found;
+        let Simulation { physics_rate_hz, policy_rate_hz, kp_n_m_per_rad, kd_n_m_s_per_rad, latency_s } = simulation;
         writeln!(out, "simulation:")?;
         writeln!(out, "  physics_rate_hz: {physics_rate_hz}{}", self.note("physics_rate_hz"))?;
         writeln!(out, "  policy_rate_hz: {policy_rate_hz}{}", self.note("policy_rate_hz"))?;
         writeln!(out, "  kp_n_m_per_rad: {}\n  kd_n_m_s_per_rad: {}", json(kp_n_m_per_rad), json(kd_n_m_s_per_rad))?;
         writeln!(out, "  latency_s: {latency_s:?}{}", self.note("latency_s"))?;
-        writeln!(out, "joints: [{}]\nnominal_pose_rad: {:?}", self.joints.join(", "), self.nominal_pose)?;
+        writeln!(out, "joints: [{}]\nnominal_pose_rad: {:?}", joints.join(", "), nominal_pose)?;
         writeln!(out, "observation:{}", self.note("observation"))?;
-        for observed in &self.observation {
+        for observed in observation {
             writeln!(out, "  - {}", json(&yaml::without_defaults(observed)))?;
         }
-        if self.history != [0] {
-            writeln!(out, "history: {:?}", self.history)?;
+        if *history != [0] {
+            writeln!(out, "history: {history:?}")?;
         }
-        writeln!(out, "action:\n  meaning: {}{}", self.meaning, self.note("meaning"))?;
-        writeln!(out, "  scale_rad: {}", json(&self.scale_rad))
+        writeln!(out, "action:\n  meaning: {}{}", json(meaning).trim_matches('"'), self.note("meaning"))?;
+        writeln!(out, "  scale_rad: {}", json(scale_rad))
     }
 }
 

@@ -3,179 +3,122 @@
 
 use prost::Message;
 
-/// Element type FLOAT of a tensor.
+/// Element types of a tensor.
 pub const FLOAT: i32 = 1;
-
-/// Element type INT32 of a tensor.
 pub const INT32: i32 = 6;
-
-/// Element type INT64 of a tensor.
 pub const INT64: i32 = 7;
-
-/// Element type FLOAT16 of a tensor.
 pub const FLOAT16: i32 = 10;
-
-/// Element type DOUBLE of a tensor.
 pub const DOUBLE: i32 = 11;
-
-/// Element type BFLOAT16 of a tensor.
 pub const BFLOAT16: i32 = 16;
 
-/// Kind FLOAT of an attribute.
+/// Kinds of an attribute.
 pub const ATTRIBUTE_FLOAT: i32 = 1;
-
-/// Kind INT of an attribute.
 pub const ATTRIBUTE_INT: i32 = 2;
 
-/// An ONNX model: the content of a file.
-#[derive(Clone, PartialEq, Message)]
-pub struct ModelProto {
-    #[prost(int64, tag = "1")]
-    pub ir_version: i64,
-    #[prost(string, tag = "2")]
-    pub producer_name: String,
-    #[prost(string, tag = "3")]
-    pub producer_version: String,
-    #[prost(string, tag = "6")]
-    pub doc_string: String,
-    #[prost(message, optional, tag = "7")]
-    pub graph: Option<Graph>,
-    #[prost(message, repeated, tag = "8")]
-    pub opset_import: Vec<OperatorSet>,
-    #[prost(message, repeated, tag = "14")]
-    pub metadata_props: Vec<Property>,
+/// Declares messages: number, name and Rust type of each field, and its type in the schema.
+macro_rules! messages {
+    ($($(#[$doc:meta])* $Name:ident {
+        $($(#[$note:meta])* $tag:literal $field:ident: $type:ty, $($kind:ident $(= $of:tt)?),+;)*
+    })*) => {
+        $($(#[$doc])* #[derive(Clone, PartialEq, Message)] pub struct $Name {
+            $($(#[$note])* #[prost($($kind $(= $of)?),+, tag = $tag)] pub $field: $type,)*
+        })*
+    };
 }
 
-/// Version of an operator set.
-#[derive(Clone, PartialEq, Message)]
-pub struct OperatorSet {
-    #[prost(string, tag = "1")]
-    pub domain: String,
-    #[prost(int64, tag = "2")]
-    pub version: i64,
-}
+messages! {
+    /// An ONNX model: the content of a file.
+    ModelProto {
+        1 ir_version: i64, int64;
+        2 producer_name: String, string;
+        3 producer_version: String, string;
+        6 doc_string: String, string;
+        7 graph: Option<Graph>, message, optional;
+        8 opset_import: Vec<OperatorSet>, message, repeated;
+        14 metadata_props: Vec<Property>, message, repeated;
+    }
 
-/// A metadata entry: key and value.
-#[derive(Clone, PartialEq, Message)]
-pub struct Property {
-    #[prost(string, tag = "1")]
-    pub key: String,
-    #[prost(string, tag = "2")]
-    pub value: String,
-}
+    /// Version of an operator set.
+    OperatorSet {
+        1 domain: String, string;
+        2 version: i64, int64;
+    }
 
-/// A graph: nodes in order of evaluation, constants, inputs and outputs.
-#[derive(Clone, PartialEq, Message)]
-pub struct Graph {
-    #[prost(message, repeated, tag = "1")]
-    pub node: Vec<Node>,
-    #[prost(string, tag = "2")]
-    pub name: String,
-    #[prost(message, repeated, tag = "5")]
-    pub initializer: Vec<TensorProto>,
-    #[prost(message, repeated, tag = "11")]
-    pub input: Vec<ValueInfo>,
-    #[prost(message, repeated, tag = "12")]
-    pub output: Vec<ValueInfo>,
-}
+    /// A metadata entry: key and value.
+    Property {
+        1 key: String, string;
+        2 value: String, string;
+    }
 
-/// A node of the graph: one operator.
-#[derive(Clone, PartialEq, Message)]
-pub struct Node {
-    #[prost(string, repeated, tag = "1")]
-    pub input: Vec<String>,
-    #[prost(string, repeated, tag = "2")]
-    pub output: Vec<String>,
-    #[prost(string, tag = "3")]
-    pub name: String,
-    #[prost(string, tag = "4")]
-    pub op_type: String,
-    #[prost(message, repeated, tag = "5")]
-    pub attribute: Vec<Attribute>,
-    #[prost(string, tag = "7")]
-    pub domain: String,
-}
+    /// A graph: nodes in order of evaluation, constants, inputs and outputs.
+    Graph {
+        1 node: Vec<Node>, message, repeated;
+        2 name: String, string;
+        5 initializer: Vec<TensorProto>, message, repeated;
+        11 input: Vec<ValueInfo>, message, repeated;
+        12 output: Vec<ValueInfo>, message, repeated;
+    }
 
-/// An attribute of an operator.
-#[derive(Clone, PartialEq, Message)]
-pub struct Attribute {
-    #[prost(string, tag = "1")]
-    pub name: String,
-    #[prost(float, tag = "2")]
-    pub f: f32,
-    #[prost(int64, tag = "3")]
-    pub i: i64,
-    #[prost(bytes = "vec", tag = "4")]
-    pub s: Vec<u8>,
-    #[prost(message, optional, tag = "5")]
-    pub t: Option<TensorProto>,
-    #[prost(float, repeated, tag = "7")]
-    pub floats: Vec<f32>,
-    #[prost(int64, repeated, tag = "8")]
-    pub ints: Vec<i64>,
-    #[prost(int32, tag = "20")]
-    pub kind: i32,
-}
+    /// A node of the graph: one operator.
+    Node {
+        1 input: Vec<String>, string, repeated;
+        2 output: Vec<String>, string, repeated;
+        3 name: String, string;
+        4 op_type: String, string;
+        5 attribute: Vec<Attribute>, message, repeated;
+        7 domain: String, string;
+    }
 
-/// A constant, row-major: little-endian in `raw_data`, or in the field of its type.
-#[derive(Clone, PartialEq, Message)]
-pub struct TensorProto {
-    #[prost(int64, repeated, tag = "1")]
-    pub dims: Vec<i64>,
-    #[prost(int32, tag = "2")]
-    pub data_type: i32,
-    #[prost(float, repeated, tag = "4")]
-    pub float_data: Vec<f32>,
-    #[prost(int32, repeated, tag = "5")]
-    pub int32_data: Vec<i32>,
-    #[prost(int64, repeated, tag = "7")]
-    pub int64_data: Vec<i64>,
-    #[prost(string, tag = "8")]
-    pub name: String,
-    #[prost(bytes = "vec", tag = "9")]
-    pub raw_data: Vec<u8>,
-    #[prost(double, repeated, tag = "10")]
-    pub double_data: Vec<f64>,
-    /// Position of values in another file: `location` (its name), `offset` and `length` \[bytes\].
-    #[prost(message, repeated, tag = "13")]
-    pub external_data: Vec<Property>,
-    /// Location of the values: 1 if they are in another file.
-    #[prost(int32, tag = "14")]
-    pub data_location: i32,
-}
+    /// An attribute of an operator.
+    Attribute {
+        1 name: String, string;
+        2 f: f32, float;
+        3 i: i64, int64;
+        4 s: Vec<u8>, bytes = "vec";
+        5 t: Option<TensorProto>, message, optional;
+        7 floats: Vec<f32>, float, repeated;
+        8 ints: Vec<i64>, int64, repeated;
+        20 kind: i32, int32;
+    }
 
-/// Name and type of an input or output.
-#[derive(Clone, PartialEq, Message)]
-pub struct ValueInfo {
-    #[prost(string, tag = "1")]
-    pub name: String,
-    #[prost(message, optional, tag = "2")]
-    pub kind: Option<Type>,
-    #[prost(string, tag = "3")]
-    pub doc_string: String,
-}
+    /// A constant, row-major: little-endian in `raw_data`, or in the field of its type.
+    TensorProto {
+        1 dims: Vec<i64>, int64, repeated;
+        2 data_type: i32, int32;
+        4 float_data: Vec<f32>, float, repeated;
+        5 int32_data: Vec<i32>, int32, repeated;
+        7 int64_data: Vec<i64>, int64, repeated;
+        8 name: String, string;
+        9 raw_data: Vec<u8>, bytes = "vec";
+        10 double_data: Vec<f64>, double, repeated;
+        /// Position of values in another file: `location` (its name), `offset` and `length` \[bytes\].
+        13 external_data: Vec<Property>, message, repeated;
+        /// Location of the values: 1 if they are in another file.
+        14 data_location: i32, int32;
+    }
 
-/// Type of a value; only tensors are supported.
-#[derive(Clone, PartialEq, Message)]
-pub struct Type {
-    #[prost(message, optional, tag = "1")]
-    pub tensor_type: Option<TensorType>,
-}
+    /// Name and type of an input or output.
+    ValueInfo {
+        1 name: String, string;
+        2 kind: Option<Type>, message, optional;
+        3 doc_string: String, string;
+    }
 
-/// Element type and shape of a tensor.
-#[derive(Clone, PartialEq, Message)]
-pub struct TensorType {
-    #[prost(int32, tag = "1")]
-    pub elem_type: i32,
-    #[prost(message, optional, tag = "2")]
-    pub shape: Option<TensorShapeProto>,
-}
+    /// Type of a value; only tensors are supported.
+    Type {
+        1 tensor_type: Option<TensorType>, message, optional;
+    }
 
-/// Shape of a tensor.
-#[derive(Clone, PartialEq, Message)]
-pub struct TensorShapeProto {
-    #[prost(message, repeated, tag = "1")]
-    pub dim: Vec<Dimension>,
+    /// Element type and shape of a tensor.
+    TensorType {
+        1 elem_type: i32, int32;
+        2 shape: Option<TensorShapeProto>, message, optional;
+    }
+
+    /// Shape of a tensor.
+    TensorShapeProto {
+        1 dim: Vec<Dimension>, message, repeated;
+    }
 }
 
 /// A dimension: its size, or the name of an open size.

@@ -17,9 +17,6 @@ pub struct CandleNetworks {
 
 impl CandleNetworks {
     /// Copies the weights as variables of type `dtype`.
-    ///
-    /// # Errors
-    /// Candle fails.
     pub fn new(network: &ActorCritic, dtype: DType) -> Result<Self> {
         let variable = |tensor: Tensor| Var::from_tensor(&tensor.to_dtype(dtype)?);
         let variables: Vec<Var> = tensors(network)?.into_iter().map(variable).collect::<Result<_>>()?;
@@ -35,9 +32,6 @@ impl CandleNetworks {
 
     /// Returns the mean actions, shape (rows, actions), their `ln σ`, shape (actions), and the values, shape (rows),
     /// all in f64.
-    ///
-    /// # Errors
-    /// What policy and critic observe does not have the shapes (rows, inputs).
     pub fn forward(&self, observations: &Tensor, of_critic: &Tensor) -> Result<(Tensor, Tensor, Tensor)> {
         let dtype = self.log_std.dtype();
         let means = forward(&self.policy, &observations.to_dtype(dtype)?)?.to_dtype(DType::F64)?;
@@ -46,16 +40,14 @@ impl CandleNetworks {
     }
 
     /// Clamps `ln σ` to [`LOG_STD_RANGE`].
-    ///
-    /// # Errors
-    /// Candle fails.
     pub fn clamp_log_std(&self) -> Result<()> {
         let [low, high] = LOG_STD_RANGE;
         self.log_std.set(&self.log_std.detach().clamp(low, high)?)
     }
 }
 
-fn forward(layers: &[Linear], observations: &Tensor) -> Result<Tensor> {
+/// Evaluates layers as [`PackedMlp`](crate::network::PackedMlp) does.
+pub fn forward(layers: &[Linear], observations: &Tensor) -> Result<Tensor> {
     let mut x = observations.clone();
     for (i, layer) in layers.iter().enumerate() {
         x = layer.forward(&x)?;

@@ -68,9 +68,6 @@ pub struct FusedLearner<A> {
 
 impl<A: Arithmetic> FusedLearner<A> {
     /// Creates a learner that continues from `state` on `threads` threads, whose number changes only the speed.
-    ///
-    /// # Panics
-    /// The minibatch size is zero, or the moments do not have the shapes of the parameters.
     pub fn new(state: &LearnerState, settings: Ppo, threads: usize, ranks: Arc<dyn Ranks>) -> Self {
         assert!(settings.minibatch_size > 0, "a minibatch needs samples");
         let parts = [&state.parameters, &state.first_moment, &state.second_moment];

@@ -6,7 +6,7 @@ mesh) is a sphere of that radius above the point, so that the point moves as the
 point, and stays on the foot.
 */
 
-use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, Vector3};
 
 use super::names::Description;
 use crate::mujoco::{Data, GeomShape, Model, Object};
@@ -46,16 +46,12 @@ pub(super) struct Sole {
 /// Finds the geometries that are the feet, in the order of the legs: those of the given names, or the lowest that collides
 /// below each calf. `data` is the robot in its nominal pose.
 pub(super) fn find(data: &Data, description: &Description, joints: &[usize]) -> Result<[usize; 4], RobotError> {
-    let Some(names) = &description.feet else {
-        return Ok([
-            lowest(data, 0, joints)?,
-            lowest(data, 1, joints)?,
-            lowest(data, 2, joints)?,
-            lowest(data, 3, joints)?,
-        ]);
-    };
     let mut feet = [0; 4];
     for leg in 0..LEGS.len() {
+        let Some(names) = &description.feet else {
+            feet[leg] = lowest(data, leg, joints)?;
+            continue;
+        };
         if let Some(first) = (0..leg).find(|first| names[*first] == names[leg]) {
             return Err(RobotError::FootTwice { name: names[leg].clone(), first: LEGS[first], second: LEGS[leg] });
         }
@@ -172,9 +168,7 @@ fn lower_end_of_mesh(corners: &[Vector3<f64>]) -> Option<LowerEnd> {
 /// Returns the sphere that stands for a foot in the pose of `data`.
 pub(super) fn sole(data: &Data, geom: usize) -> Option<Sole> {
     let LowerEnd { point, radius } = lower_end(data, geom)?;
-    let body = data.model().geom_body(geom);
-    let place = Vector3::from_column_slice(&data.body_positions()[3 * body..][..3]);
-    let [w, x, y, z] = std::array::from_fn(|k| data.body_quaternions()[4 * body + k]);
-    let turn = UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z));
-    Some(Sole { centre: (turn.inverse() * (point + Vector3::z() * radius - place)).into(), radius })
+    let body = data.body_pose(data.model().geom_body(geom));
+    let centre = body.rotation.inverse() * (point + Vector3::z() * radius - body.translation.vector);
+    Some(Sole { centre: centre.into(), radius })
 }

@@ -9,14 +9,14 @@ joint.
 
 use std::path::{Path, PathBuf};
 
-use nalgebra::{Isometry3, Matrix3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, Point3, UnitQuaternion, Vector3};
 
 use super::load::load;
 use super::masses::changed_links;
 use super::newer::{Translated, write_pose};
 use super::source::Files;
 use super::weld::weld_urdf;
-use crate::mujoco::{GeomShape, Model, Object};
+use crate::mujoco::{GeomShape, Model, Object, unit};
 use crate::robot::error::RobotError;
 use crate::util::numbers::spaced;
 use crate::util::xml::{Element, Place};
@@ -248,9 +248,7 @@ fn end(joint: &Element, which: &str) -> Option<String> {
 /// Gives links that move without a mass the inertia of a link that is fixed to them, as some URDFs have their trunk.
 fn share_masses(robot: &mut Element) {
     let is_fixed = |joint: &&Element| joint.get("type") == Some("fixed");
-    let weighs = |robot: &Element, name: &str| {
-        robot.all("link").find(|link| link.get("name") == Some(name))?.all("inertial").next().cloned()
-    };
+    let weighs = |robot: &Element, name: &str| named(robot, "link", name)?.all("inertial").next().cloned();
     let moving = robot.all("joint").filter(|joint| !is_fixed(joint)).filter_map(|joint| end(joint, "child"));
     for name in moving.collect::<Vec<_>>() {
         if weighs(robot, &name).is_some() {
@@ -284,8 +282,8 @@ fn origin(element: &Element) -> Isometry3<f64> {
         let mut words = text.split_whitespace().map(|word| word.parse().unwrap_or(0.0));
         std::array::from_fn(|_| words.next().unwrap_or(0.0))
     };
-    let ([x, y, z], [roll, pitch, yaw]) = (numbers("xyz"), numbers("rpy"));
-    Isometry3::from_parts(Translation3::new(x, y, z), UnitQuaternion::from_euler_angles(roll, pitch, yaw))
+    let [roll, pitch, yaw] = numbers("rpy");
+    Isometry3::from_parts(numbers("xyz").into(), UnitQuaternion::from_euler_angles(roll, pitch, yaw))
 }
 
 /// Writes a compiled model as MJCF. Elements keep the places of the URDF's.
@@ -306,10 +304,8 @@ fn bodies(model: &Model, parent: usize, robot: &Element, feet: &FootMeshes) -> V
     moving
         .map(|(body, pose)| {
             let name = model.name(Object::Body, body);
-            let mut element = Element { place: place(robot, "link", name), ..Element::new("body") };
-            element.set("name", name);
-            element.set("pos", spaced(pose.translation.vector.as_slice()));
-            element.set("quat", quaternion(&pose.rotation));
+            let mut element = Element { place: place(robot, "link", name), ..Element::new("body") }.with("name", name);
+            write_pose(&pose, &mut element);
             let parts = parts(model, body);
             element.children.extend(inertial(model, &parts, robot));
             for joint in (0..model.count(Object::Joint)).filter(|joint| model.joint_body(*joint) == body) {
@@ -338,8 +334,7 @@ pub(super) fn moves(model: &Model, body: usize) -> bool {
 
 /// Returns the pose of a body in the frame of the body above it.
 fn local(model: &Model, body: usize) -> Isometry3<f64> {
-    let [x, y, z] = model.body_position(body);
-    Isometry3::from_parts(Translation3::new(x, y, z), model.body_rotation(body))
+    Isometry3::from_parts(model.body_position(body).into(), model.body_rotation(body))
 }
 
 /// Returns a body and all that is fixed to it, with the poses in its frame.
@@ -359,7 +354,7 @@ fn parts(model: &Model, body: usize) -> Vec<(usize, Isometry3<f64>)> {
 /// Writes the mass and inertia of parts that are fixed to one another; `None` if no link states any.
 fn inertial(model: &Model, parts: &[(usize, Isometry3<f64>)], robot: &Element) -> Option<Element> {
     let states = |body: usize| {
-        let link = robot.all("link").find(|link| link.get("name") == Some(model.name(Object::Body, body)));
+        let link = named(robot, "link", model.name(Object::Body, body));
         link.is_some_and(|link| link.all("inertial").next().is_some())
     };
     let heavy: Vec<_> = parts.iter().filter(|(body, _)| states(*body)).collect();
@@ -376,9 +371,7 @@ fn inertial(model: &Model, parts: &[(usize, Isometry3<f64>)], robot: &Element) -
         .iter()
         .map(|part| {
             let (body, pose) = part;
-            let [w, x, y, z] = model.body_inertia_quaternion(*body);
-            let axes = pose.rotation * UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z));
-            let axes = axes.to_rotation_matrix();
+            let axes = (pose.rotation * unit(model.body_inertia_quaternion(*body))).to_rotation_matrix();
             let own = axes * Matrix3::from_diagonal(&model.body_inertia(*body).into()) * axes.transpose();
             let arm = centre(part).coords - middle;
             own + (Matrix3::identity() * arm.norm_squared() - arm * arm.transpose()) * model.body_mass()[*body]
@@ -409,17 +402,11 @@ fn written_geom(model: &Model, geom: usize, part: &Isometry3<f64>) -> Element {
         GeomShape::Cylinder => "cylinder",
         _ => "box",
     };
-    let ([x, y, z], [w, i, j, k]) = (shape.position, shape.quaternion);
-    let turn = UnitQuaternion::new_normalize(Quaternion::new(w, i, j, k));
-    let pose = part * Isometry3::from_parts(Translation3::new(x, y, z), turn);
-    let written = Element::new("geom").with("type", kind).with("size", spaced(&shape.size));
-    let written = written.with("pos", spaced(pose.translation.vector.as_slice()));
+    let pose = part * Isometry3::from_parts(shape.position.into(), unit(shape.quaternion));
+    let mut written = Element::new("geom").with("type", kind).with("size", spaced(&shape.size));
+    write_pose(&pose, &mut written);
     // Without a mass in its link, a part has none.
-    written.with("quat", quaternion(&pose.rotation)).with("mass", 0)
-}
-
-fn quaternion(turn: &UnitQuaternion<f64>) -> String {
-    spaced(&[turn.w, turn.i, turn.j, turn.k])
+    written.with("mass", 0)
 }
 
 fn written_joint(model: &Model, joint: usize, robot: &Element) -> Element {
@@ -427,11 +414,10 @@ fn written_joint(model: &Model, joint: usize, robot: &Element) -> Element {
     if model.is_free(joint) {
         return Element::new("freejoint").with("name", name);
     }
-    let mut element = Element { place: place(robot, "joint", name), ..Element::new("joint") };
-    element.set("name", name);
-    element.set("type", if model.is_hinge(joint) { "hinge" } else { "slide" });
-    element.set("pos", spaced(&model.joint_anchor(joint)));
-    element.set("axis", spaced(&model.joint_axis(joint)));
+    let element = Element { place: place(robot, "joint", name), ..Element::new("joint") }.with("name", name);
+    let element = element.with("type", if model.is_hinge(joint) { "hinge" } else { "slide" });
+    let mut element =
+        element.with("pos", spaced(&model.joint_anchor(joint))).with("axis", spaced(&model.joint_axis(joint)));
     if model.joint_is_limited(joint) {
         element.set("range", spaced(&model.joint_range(joint)));
     }
@@ -440,5 +426,10 @@ fn written_joint(model: &Model, joint: usize, robot: &Element) -> Element {
 
 /// Returns where the URDF has a link or joint.
 fn place(robot: &Element, kind: &str, name: &str) -> Place {
-    robot.all(kind).find(|element| element.get("name") == Some(name)).map_or(Place::default(), |element| element.place)
+    named(robot, kind, name).map_or(Place::default(), |element| element.place)
+}
+
+/// Returns the first element of a kind with a name.
+fn named<'a>(robot: &'a Element, kind: &'a str, name: &str) -> Option<&'a Element> {
+    robot.all(kind).find(|element| element.get("name") == Some(name))
 }

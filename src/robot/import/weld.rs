@@ -3,8 +3,6 @@
 They keep the angles of the keyframe `home` (or the first), or those of the file without any; a URDF has all angles at zero.
 */
 
-use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
-
 use super::load::load;
 use super::newer::write_pose;
 use super::source::Files;
@@ -86,19 +84,11 @@ fn change(element: &mut Element, id: &mut usize, data: &Data, bodies: &[usize], 
         *id += 1;
         if bodies.contains(id) {
             body.children.retain(|child| child.name != "joint" || !child.get("name").is_some_and(is_welded));
-            let above = data.model().body_parent(*id);
-            write_pose(&(pose(data, above).inverse() * pose(data, *id)), body);
+            let above = data.body_pose(data.model().body_parent(*id));
+            write_pose(&(above.inverse() * data.body_pose(*id)), body);
         }
         change(body, id, data, bodies, is_welded);
     }
-}
-
-/// Returns the pose of a body in the world.
-fn pose(data: &Data, body: usize) -> Isometry3<f64> {
-    let [x, y, z] = std::array::from_fn(|k| data.body_positions()[3 * body + k]);
-    let [w, i, j, k] = std::array::from_fn(|k| data.body_quaternions()[4 * body + k]);
-    let turn = UnitQuaternion::new_normalize(Quaternion::new(w, i, j, k));
-    Isometry3::from_parts(Translation3::new(x, y, z), turn)
 }
 
 /// Takes the positions at some places out of a keyframe.

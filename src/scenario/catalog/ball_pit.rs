@@ -2,37 +2,26 @@
 
 use std::fmt::Write as _;
 
-use clap::Args;
-use serde::{Deserialize, Serialize};
-
-use super::{ParameterError, Parameters, Task, in_range, truth};
+use super::{ParameterError, Parameters, Task, truth};
 use crate::scenario::metrics::Metric;
 use crate::scenario::trace::Trace;
 use crate::scenario::{Goal, Script};
 use crate::sim::Buffers;
 
-/// Ball pit: cross a field of loose balls.
-#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct BallPit {
-    /// The parameters that every scenario has.
-    #[command(flatten)]
-    #[serde(flatten)]
-    pub task: Task,
-    /// Number of balls, laid out in a square
-    #[arg(long)]
-    pub balls: u32,
-    /// Mass of a ball (kg)
-    #[arg(long)]
-    pub mass_kg: f64,
-    /// Radius of a ball (m)
-    #[arg(long)]
-    pub radius_m: f64,
-    /// Gap between neighbours (m)
-    #[arg(long)]
-    pub gap_m: f64,
-    /// Distance from the robot's centre to the first row (m)
-    #[arg(long)]
-    pub distance_m: f64,
+parameters! {
+    /// Ball pit: cross a field of loose balls.
+    BallPit {
+        /// Number of balls, laid out in a square
+        balls: u32 = 0.0 to 1000.0, "0 to 1000";
+        /// Mass of a ball (kg)
+        mass_kg: f64 = 1e-3 to 1e3, "0.001 to 1000 kg";
+        /// Radius of a ball (m)
+        radius_m: f64 = 0.01 to 0.5, "0.01 to 0.5 m";
+        /// Gap between neighbours (m)
+        gap_m: f64 = 0.0 to 10.0, "0 to 10 m";
+        /// Distance from the robot's centre to the first row (m)
+        distance_m: f64 = 0.4 to 100.0, "0.4 to 100 m, clear of the robot";
+    }
 }
 
 impl BallPit {
@@ -49,12 +38,8 @@ impl BallPit {
 
 impl Parameters for BallPit {
     fn prepare(&self, script: &mut Script, _: u64) -> Result<(), ParameterError> {
+        self.check_ranges()?;
         // MuJoCo 2.2.2 counts its memory in 32 bits: rows times degrees of freedom, 24 bytes each, must stay below 2 GiB.
-        in_range("balls", f64::from(self.balls), 0.0, 1000.0, "0 to 1000")?;
-        in_range("mass-kg", self.mass_kg, 1e-3, 1e3, "0.001 to 1000 kg")?;
-        in_range("radius-m", self.radius_m, 0.01, 0.5, "0.01 to 0.5 m")?;
-        in_range("gap-m", self.gap_m, 0.0, 10.0, "0 to 10 m")?;
-        in_range("distance-m", self.distance_m, 0.4, 100.0, "0.4 to 100 m, clear of the robot")?;
         let (side, pitch) = (self.side(), 2.0 * self.radius_m + self.gap_m);
         let mut balls = String::new();
         for ball in 0..self.balls {
@@ -96,9 +81,5 @@ impl Parameters for BallPit {
     /// Moves the balls away by the distance walked during the delay.
     fn delay(&mut self, phase_s: f64) {
         self.distance_m += phase_s * self.task.forward_m_s;
-    }
-
-    fn cost(&self) -> f64 {
-        100.0
     }
 }

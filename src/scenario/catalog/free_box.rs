@@ -1,47 +1,33 @@
 //! The scenario `box`: a free box in the way (E6).
 
-use clap::Args;
 use rand::RngExt;
-use serde::{Deserialize, Serialize};
 
-use super::{ParameterError, Parameters, Task, in_range, metric, truth};
+use super::{ParameterError, Parameters, Task, metric, truth};
 use crate::scenario::metrics::{self, Metric};
 use crate::scenario::trace::{Frame, Trace};
 use crate::scenario::{Goal, Script};
 use crate::sim::Buffers;
 use crate::util::random::{Purpose, stream};
 
-/// Box: walk into a free box.
-#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct FreeBox {
-    /// The parameters that every scenario has.
-    #[command(flatten)]
-    #[serde(flatten)]
-    pub task: Task,
-    /// Mass of the box (kg)
-    #[arg(long)]
-    pub mass_kg: f64,
-    /// Edge length of the box (m)
-    #[arg(long)]
-    pub size_m: f64,
-    /// Distance from the robot's centre to the box's near face (m)
-    #[arg(long)]
-    pub distance_m: f64,
-    /// Sliding friction of the box on the ground
-    #[arg(long)]
-    pub friction: f64,
-    /// Largest sideways offset of the box, drawn from the seed (m)
-    #[arg(long)]
-    pub max_offset_m: f64,
+parameters! {
+    /// Box: walk into a free box.
+    FreeBox {
+        /// Mass of the box (kg)
+        mass_kg: f64 = 1e-3 to 1e4, "0.001 to 10000 kg";
+        /// Edge length of the box (m)
+        size_m: f64 = 0.01 to 10.0, "0.01 to 10 m";
+        /// Distance from the robot's centre to the box's near face (m)
+        distance_m: f64 = 0.4 to 100.0, "0.4 to 100 m, clear of the robot";
+        /// Sliding friction of the box on the ground
+        friction: f64 = 1e-3 to 10.0, "0.001 to 10";
+        /// Largest sideways offset of the box, drawn from the seed (m)
+        max_offset_m: f64 = 0.0 to 10.0, "0 to 10 m";
+    }
 }
 
 impl Parameters for FreeBox {
     fn prepare(&self, script: &mut Script, seed: u64) -> Result<(), ParameterError> {
-        in_range("mass-kg", self.mass_kg, 1e-3, 1e4, "0.001 to 10000 kg")?;
-        in_range("size-m", self.size_m, 0.01, 10.0, "0.01 to 10 m")?;
-        in_range("distance-m", self.distance_m, 0.4, 100.0, "0.4 to 100 m, clear of the robot")?;
-        in_range("friction", self.friction, 1e-3, 10.0, "0.001 to 10")?;
-        in_range("max-offset-m", self.max_offset_m, 0.0, 10.0, "0 to 10 m")?;
+        self.check_ranges()?;
         let offset = self.max_offset_m * stream(seed, Purpose::Scenario, 0, 1).random_range(-1.0..=1.0);
         let half = 0.5 * self.size_m;
         // Priority 2: the box's friction holds on the ground too.
@@ -97,9 +83,5 @@ impl Parameters for FreeBox {
     /// Moves the box away by the distance walked during the delay.
     fn delay(&mut self, phase_s: f64) {
         self.distance_m += phase_s * self.task.forward_m_s;
-    }
-
-    fn cost(&self) -> f64 {
-        3.5
     }
 }

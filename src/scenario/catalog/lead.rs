@@ -1,9 +1,6 @@
 //! The scenario `lead`: a walker leads the robot by the leash (E14).
 
-use clap::Args;
-use serde::{Deserialize, Serialize};
-
-use super::{ParameterError, Parameters, Task, in_range, metric, towards};
+use super::{ParameterError, Parameters, Task, metric, towards};
 use crate::scenario::Script;
 use crate::scenario::metrics::{self, Metric};
 use crate::scenario::trace::{Frame, Trace};
@@ -12,41 +9,27 @@ use crate::world::disturbance::{Disturbance, Spring, SpringEnd};
 /// Length of the averages at the end of the playback \[s\].
 const LAST_S: f64 = 3.0;
 
-/// Lead: a walker leads the robot by the leash.
-#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Lead {
-    /// The parameters that every scenario has.
-    #[command(flatten)]
-    #[serde(flatten)]
-    pub task: Task,
-    /// Speed of the walker relative to the commanded walk (m/s)
-    #[arg(long)]
-    pub speed_m_s: f64,
-    /// Direction of the walker in the world: 0 ahead, 90 left (deg)
-    #[arg(long)]
-    pub direction_deg: f64,
-    /// Stiffness of the leash, including the walker's hand and arm (N/m)
-    #[arg(long)]
-    pub stiffness_n_per_m: f64,
-    /// Damping of the leash (N s/m)
-    #[arg(long)]
-    pub damping_n_s_per_m: f64,
-    /// Distance the walker walks until the leash is taut (m)
-    #[arg(long)]
-    pub slack_m: f64,
-    /// Time at which the walker sets off (s)
-    #[arg(long)]
-    pub at_s: f64,
+parameters! {
+    /// Lead: a walker leads the robot by the leash.
+    Lead {
+        /// Speed of the walker relative to the commanded walk (m/s)
+        speed_m_s: f64 = 0.0 to 5.0, "0 to 5 m/s";
+        /// Direction of the walker in the world: 0 ahead, 90 left (deg)
+        direction_deg: f64 = -360.0 to 360.0, "-360 to 360 degrees";
+        /// Stiffness of the leash, including the walker's hand and arm (N/m)
+        stiffness_n_per_m: f64 = 1.0 to 20_000.0, "1 to 20000 N/m";
+        /// Damping of the leash (N s/m)
+        damping_n_s_per_m: f64 = 0.0 to 500.0, "0 to 500 N s/m";
+        /// Distance the walker walks until the leash is taut (m)
+        slack_m: f64 = 0.0 to 10.0, "0 to 10 m";
+        /// Time at which the walker sets off (s)
+        at_s: f64 = 0.0 to 3600.0, "0 to 3600 s";
+    }
 }
 
 impl Parameters for Lead {
     fn prepare(&self, script: &mut Script, _: u64) -> Result<(), ParameterError> {
-        in_range("speed-m-s", self.speed_m_s, 0.0, 5.0, "0 to 5 m/s")?;
-        in_range("direction-deg", self.direction_deg, -360.0, 360.0, "-360 to 360 degrees")?;
-        in_range("stiffness-n-per-m", self.stiffness_n_per_m, 1.0, 20_000.0, "1 to 20000 N/m")?;
-        in_range("damping-n-s-per-m", self.damping_n_s_per_m, 0.0, 500.0, "0 to 500 N s/m")?;
-        in_range("slack-m", self.slack_m, 0.0, 10.0, "0 to 10 m")?;
-        in_range("at-s", self.at_s, 0.0, 3600.0, "0 to 3600 s")?;
+        self.check_ranges()?;
         let direction = towards(self.direction_deg);
         // The hand goes along with the commanded walk.
         let walk_m_s = self.task.forward_m_s * direction[0] + self.task.left_m_s * direction[1];

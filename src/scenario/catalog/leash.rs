@@ -1,41 +1,28 @@
 //! The scenario `leash`: a constant pull on the trunk (E5).
 
-use clap::Args;
-use serde::{Deserialize, Serialize};
-
-use super::{ParameterError, Parameters, Task, in_range, metric, towards};
+use super::{ParameterError, Parameters, Task, metric, towards};
 use crate::scenario::Script;
 use crate::scenario::metrics::{self, Metric};
 use crate::scenario::trace::Trace;
 use crate::world::{Disturbance, Pull};
 
-/// Leash: a constant pull on the trunk.
-#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Leash {
-    /// The parameters that every scenario has.
-    #[command(flatten)]
-    #[serde(flatten)]
-    pub task: Task,
-    /// Pulling force (N)
-    #[arg(long)]
-    pub force_n: f64,
-    /// Direction of the pull in the world: 0 ahead, 90 left (deg)
-    #[arg(long)]
-    pub direction_deg: f64,
-    /// Time at which the pull begins (s)
-    #[arg(long)]
-    pub at_s: f64,
-    /// Duration of the pull (s)
-    #[arg(long)]
-    pub for_s: f64,
+parameters! {
+    /// Leash: a constant pull on the trunk.
+    Leash {
+        /// Pulling force (N)
+        force_n: f64 = 0.0 to 10_000.0, "0 to 10000 N";
+        /// Direction of the pull in the world: 0 ahead, 90 left (deg)
+        direction_deg: f64 = -360.0 to 360.0, "-360 to 360 degrees";
+        /// Time at which the pull begins (s)
+        at_s: f64 = 0.0 to 3600.0, "0 to 3600 s";
+        /// Duration of the pull (s)
+        for_s: f64 = 0.0 to 3600.0, "0 to 3600 s";
+    }
 }
 
 impl Parameters for Leash {
     fn prepare(&self, script: &mut Script, _: u64) -> Result<(), ParameterError> {
-        in_range("force-n", self.force_n, 0.0, 10_000.0, "0 to 10000 N")?;
-        in_range("direction-deg", self.direction_deg, -360.0, 360.0, "-360 to 360 degrees")?;
-        in_range("at-s", self.at_s, 0.0, 3600.0, "0 to 3600 s")?;
-        in_range("for-s", self.for_s, 0.0, 3600.0, "0 to 3600 s")?;
+        self.check_ranges()?;
         let force = towards(self.direction_deg).map(|part| self.force_n * part);
         let pull = Pull::constant([self.at_s, self.at_s + self.for_s], force);
         script.disturbances.push(Disturbance::Pull(pull));

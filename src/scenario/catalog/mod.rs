@@ -5,6 +5,31 @@ files in `configs/scenarios/`, by the same names; the files contain the defaults
 experiments. Each scenario has its own file here: its parameters, their effect on the script, and its metrics.
 */
 
+/// Declares the parameters of a scenario: flags of the command line and keys of YAML files, in addition to those of every scenario.
+/// Behind `=` is the range of a number and its text in errors; ranges that depend on other parameters are checked in `prepare`.
+macro_rules! parameters {
+    ($(#[$doc:meta])* $Name:ident {
+        $($(#[$flag:meta])* $key:ident: $type:ty $(= $low:literal to $high:literal, $expected:literal)?;)*
+    }) => {
+        $(#[$doc])*
+        #[derive(clap::Args, Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+        pub struct $Name {
+            /// The parameters that every scenario has.
+            #[command(flatten)]
+            #[serde(flatten)]
+            pub task: Task,
+            $($(#[$flag])* #[arg(long)] pub $key: $type,)*
+        }
+
+        impl $Name {
+            fn check_ranges(&self) -> Result<(), super::ParameterError> {
+                $($(super::in_range(stringify!($key).replace('_', "-"), self.$key.into(), $low, $high, $expected)?;)?)*
+                Ok(())
+            }
+        }
+    };
+}
+
 mod ball_pit;
 mod free_box;
 mod lead;
@@ -18,6 +43,7 @@ mod terrain;
 mod walk;
 mod wall;
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use clap::{Args, Subcommand};
@@ -31,8 +57,7 @@ use super::metrics::{self, Decay, Metric};
 use crate::config::{Config, ConfigError};
 use crate::robot::GRAVITY_M_S2;
 use crate::scenario::trace::Trace;
-use crate::sim::Conditions;
-use crate::sim::Scene;
+use crate::sim::{Conditions, Scene};
 use crate::task::Command;
 use crate::util::files::FileError;
 use crate::util::numbers::brief;
@@ -52,9 +77,10 @@ pub use terrain::*;
 pub use walk::*;
 pub use wall::*;
 
-/// Defines [`Scenario`] and its defaults from the list of scenarios: text of the command line, name, and type of the parameters.
+/// Defines [`Scenario`] and its defaults from the list of scenarios: text of the command line, name, type of the parameters, and
+/// the cost of the simulation relative to the robot alone, if it differs.
 macro_rules! scenarios {
-    ($($text:literal, $name:literal => $Variant:ident($Parameters:ty);)*) => {
+    ($($text:literal, $name:literal => $Variant:ident($Parameters:ty) $(at $cost:literal)?;)*) => {
         /// Default parameters of every scenario: name and YAML text.
         pub const DEFAULTS: &[(&str, &str)] =
             &[$(($name, include_str!(concat!("../../../configs/scenarios/", $name, ".yaml")))),*];
@@ -101,6 +127,14 @@ macro_rules! scenarios {
                 }
             }
 
+            /// Returns the cost of a trial, in seconds of simulation of the robot alone, for progress bars.
+            pub fn cost(&self) -> f64 {
+                let relative = match self {
+                    $(Scenario::$Variant(_) => [$($cost,)? 1.0][0],)*
+                };
+                relative * self.task().duration_s
+            }
+
             fn parameters_mut(&mut self) -> &mut dyn Parameters {
                 match self {
                     $(Scenario::$Variant(it) => it,)*
@@ -116,13 +150,13 @@ scenarios! {
     "Pull the trunk with a constant force (E5)", "leash" => Leash(Leash);
     "Lead the robot by a leash (E14)", "lead" => Lead(Lead);
     "Walk into a soft wall (E14)", "wall" => Wall(Wall);
-    "Walk into a free box (E6)", "box" => Box(FreeBox);
-    "Cross a field of loose balls (E7)", "ball-pit" => BallPit(BallPit);
-    "Walk over Perlin terrain, steps or a slope (E8)", "terrain" => Terrain(UnevenGround);
-    "Pull the trunk with a weight over a pulley (E9)", "pulley" => Pulley(Pulley);
-    "Swing a ball on a string into the trunk (E10)", "pendulum" => Pendulum(Pendulum);
-    "Walk over wooden blocks and soft mats (E11)", "rubble" => Rubble(Rubble);
-    "Walk over hills of varied friction (E11)", "outdoor" => Outdoor(Outdoor);
+    "Walk into a free box (E6)", "box" => Box(FreeBox) at 3.5;
+    "Cross a field of loose balls (E7)", "ball-pit" => BallPit(BallPit) at 100.0;
+    "Walk over Perlin terrain, steps or a slope (E8)", "terrain" => Terrain(UnevenGround) at 4.0;
+    "Pull the trunk with a weight over a pulley (E9)", "pulley" => Pulley(Pulley) at 1.5;
+    "Swing a ball on a string into the trunk (E10)", "pendulum" => Pendulum(Pendulum) at 1.5;
+    "Walk over wooden blocks and soft mats (E11)", "rubble" => Rubble(Rubble) at 20.0;
+    "Walk over hills of varied friction (E11)", "outdoor" => Outdoor(Outdoor) at 4.0;
 }
 
 impl Scenario {
@@ -146,7 +180,7 @@ pub fn defaults<T: DeserializeOwned>(name: &str) -> Result<T, ConfigError> {
 }
 
 /// Returns the default parameters of a scenario, overridden by the given ones.
-fn with_parameters<T: DeserializeOwned>(scenario: &str, parameters: &str) -> Result<T, YamlError> {
+pub(super) fn with_parameters<T: DeserializeOwned>(scenario: &str, parameters: &str) -> Result<T, YamlError> {
     let defaults = DEFAULTS.iter().find(|(known, _)| *known == scenario).map_or("", |(_, text)| text);
     let texts = [Text::new(scenario, defaults), Text::new(scenario, parameters)];
     let [known, given] = [flat_parameters(&texts[0])?, flat_parameters(&texts[1])?];
@@ -178,7 +212,7 @@ const AFTER_FALL_S: f64 = 1.0;
 #[error("--{name} is {found}, expected {expected}")]
 pub struct ParameterError {
     /// Name of the flag, such as `push-m-s`.
-    pub name: &'static str,
+    pub name: Cow<'static, str>,
     /// The value that was found.
     pub found: String,
     /// The valid range.
@@ -194,6 +228,9 @@ pub enum ScriptError {
     /// The robot cannot be loaded.
     #[error(transparent)]
     Robot(#[from] FileError),
+    /// The default parameters of a scenario are invalid.
+    #[error(transparent)]
+    Defaults(#[from] YamlError),
 }
 
 /// The parameters that every scenario has.
@@ -232,28 +269,16 @@ fn is_zero(value: &f64) -> bool {
 /// Behaviour of a scenario's parameters; the defaults are an undisturbed walk on a plane.
 trait Parameters {
     /// Checks the parameters and adds the scenario's parts to the script.
-    fn prepare(&self, _: &mut Script, _seed: u64) -> Result<(), ParameterError> {
-        Ok(())
-    }
+    fn prepare(&self, script: &mut Script, seed: u64) -> Result<(), ParameterError>;
 
     /// Adds the metrics of this scenario to the common ones.
     fn metrics(&self, _: &Script, _: &Trace, _found: &mut Vec<Metric>) {}
 
     /// Delays the disturbance \[s\]; does nothing if there is none.
     fn delay(&mut self, _phase_s: f64) {}
-
-    /// Returns the cost of the simulation relative to the robot alone.
-    fn cost(&self) -> f64 {
-        1.0
-    }
 }
 
 impl Scenario {
-    /// Returns the cost of a trial, in seconds of simulation of the robot alone, for progress bars.
-    pub fn cost(&self) -> f64 {
-        self.parts().2.cost() * self.task().duration_s
-    }
-
     /// Returns the scenario with its disturbance delayed \[s\], to meet the gait at another phase.
     pub fn later(&self, phase_s: f64) -> Self {
         let mut scenario = self.clone();
@@ -376,11 +401,12 @@ fn no_turn(task: &Task) -> Result<(), ParameterError> {
 /// # Errors
 /// The number is out of range or not finite; the error names the parameter, the number and the range.
 pub fn in_range(
-    name: &'static str,
+    name: impl Into<Cow<'static, str>>,
     found: f64,
     low: f64,
     high: f64,
     expected: &'static str,
 ) -> Result<(), ParameterError> {
-    if (low..=high).contains(&found) { Ok(()) } else { Err(ParameterError { name, found: brief(found), expected }) }
+    let fits = (low..=high).contains(&found);
+    if fits { Ok(()) } else { Err(ParameterError { name: name.into(), found: brief(found), expected }) }
 }

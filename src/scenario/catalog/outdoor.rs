@@ -5,9 +5,7 @@ exactly the wanted slope. The ground is divided into squares, each with a fricti
 friction of the square that it is on, looked up at every physics step.
 */
 
-use clap::Args;
 use rand::RngExt;
-use serde::{Deserialize, Serialize};
 
 use super::{ParameterError, Parameters, Task, in_range, metric};
 use crate::scenario::Script;
@@ -23,28 +21,20 @@ const HALF_SIZE_M: [f64; 2] = [6.0, 60.0];
 /// Width of the ground beyond the end of the commanded way \[m\].
 const MARGIN_M: f64 = 3.0;
 
-/// Outdoor: hills of varied friction.
-#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Outdoor {
-    /// The parameters that every scenario has.
-    #[command(flatten)]
-    #[serde(flatten)]
-    pub task: Task,
-    /// Steepest slope of the hills, rise over run
-    #[arg(long)]
-    pub steepest: f64,
-    /// Lattice cells of the hills per metre; a hill and a dale take about two cells (1/m)
-    #[arg(long)]
-    pub frequency_per_m: f64,
-    /// Smallest sliding friction of a square of ground
-    #[arg(long)]
-    pub least_friction: f64,
-    /// Largest sliding friction of a square of ground
-    #[arg(long)]
-    pub largest_friction: f64,
-    /// Edge of the squares that differ in friction (m)
-    #[arg(long)]
-    pub patch_m: f64,
+parameters! {
+    /// Outdoor: hills of varied friction.
+    Outdoor {
+        /// Steepest slope of the hills, rise over run
+        steepest: f64 = 0.0 to 2.0, "0 to 2";
+        /// Lattice cells of the hills per metre; a hill and a dale take about two cells (1/m)
+        frequency_per_m: f64 = 0.01 to 1.0, "0.01 to 1 per metre";
+        /// Smallest sliding friction of a square of ground
+        least_friction: f64 = 0.01 to 10.0, "0.01 to 10";
+        /// Largest sliding friction of a square of ground
+        largest_friction: f64;
+        /// Edge of the squares that differ in friction (m)
+        patch_m: f64 = 0.1 to 100.0, "0.1 to 100 m";
+    }
 }
 
 impl Outdoor {
@@ -69,15 +59,12 @@ impl Outdoor {
 
 impl Parameters for Outdoor {
     fn prepare(&self, script: &mut Script, seed: u64) -> Result<(), ParameterError> {
-        in_range("steepest", self.steepest, 0.0, 2.0, "0 to 2")?;
-        in_range("frequency-per-m", self.frequency_per_m, 0.01, 1.0, "0.01 to 1 per metre")?;
-        in_range("least-friction", self.least_friction, 0.01, 10.0, "0.01 to 10")?;
+        self.check_ranges()?;
         let most = "the least friction to 10";
         in_range("largest-friction", self.largest_friction, self.least_friction, 10.0, most)?;
-        in_range("patch-m", self.patch_m, 0.1, 100.0, "0.1 to 100 m")?;
         if self.way_m() > HALF_SIZE_M[1] - MARGIN_M {
-            let found = self.task.duration_s.to_string();
-            return Err(ParameterError { name: "duration-s", found, expected: "a way of at most 57 m at the command" });
+            let (found, expected) = (self.task.duration_s.to_string(), "a way of at most 57 m at the command");
+            return Err(ParameterError { name: "duration-s".into(), found, expected });
         }
         let half_size = [self.half_size_m(); 2];
         let mut hills = terrain::hills(half_size, self.steepest, self.frequency_per_m, seed);
@@ -94,10 +81,6 @@ impl Parameters for Outdoor {
         let steepest = metrics::largest(frames(), |frame| 100.0 * slope(&script.scene.ground, frame.position));
         found.push(metric("steepest_met_percent", "steepest slope on the way", steepest, "%"));
         found.push(metric("climb_m", "highest above lowest ground", climbed.map(|(high, low)| high + low), "m"));
-    }
-
-    fn cost(&self) -> f64 {
-        4.0
     }
 }
 

@@ -8,9 +8,6 @@ rather than bare steel.
 
 use std::f64::consts::FRAC_PI_2;
 
-use clap::Args;
-use serde::{Deserialize, Serialize};
-
 use super::{ParameterError, Parameters, Task, in_range, lasting, metric, no_turn, towards};
 use crate::robot::{Extent, GRAVITY_M_S2};
 use crate::scenario::Script;
@@ -24,31 +21,22 @@ const LONGEST_BLOW_S: f64 = 0.2;
 /// Duration of the sum of impulses, from the first contact on \[s\].
 const IMPULSE_S: f64 = 1.0;
 
-/// Pendulum: a ball on a string swings into the trunk.
-#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Pendulum {
-    /// The parameters that every scenario has.
-    #[command(flatten)]
-    #[serde(flatten)]
-    pub task: Task,
-    /// Mass of the ball (kg)
-    #[arg(long)]
-    pub mass_kg: f64,
-    /// Radius of the ball (m)
-    #[arg(long)]
-    pub radius_m: f64,
-    /// Distance from the pivot to the ball's centre (m)
-    #[arg(long)]
-    pub string_m: f64,
-    /// Height of the release above the ball's lowest point; at most the string's length (m)
-    #[arg(long)]
-    pub release_height_m: f64,
-    /// Direction in which the ball hits, from the robot's heading: 0 forward, 90 to the left (deg)
-    #[arg(long)]
-    pub direction_deg: f64,
-    /// Time at which the ball is released (s)
-    #[arg(long)]
-    pub at_s: f64,
+parameters! {
+    /// Pendulum: a ball on a string swings into the trunk.
+    Pendulum {
+        /// Mass of the ball (kg)
+        mass_kg: f64 = 1e-3 to 100.0, "0.001 to 100 kg";
+        /// Radius of the ball (m)
+        radius_m: f64 = 0.01 to 0.2, "0.01 to 0.2 m";
+        /// Distance from the pivot to the ball's centre (m)
+        string_m: f64 = 0.1 to 100.0, "0.1 to 100 m";
+        /// Height of the release above the ball's lowest point; at most the string's length (m)
+        release_height_m: f64;
+        /// Direction in which the ball hits, from the robot's heading: 0 forward, 90 to the left (deg)
+        direction_deg: f64 = -360.0 to 360.0, "-360 to 360 degrees";
+        /// Time at which the ball is released (s)
+        at_s: f64 = 0.0 to 3600.0, "0 to 3600 s";
+    }
 }
 
 /// The ball's first contact with the robot.
@@ -128,14 +116,10 @@ fn arithmetic_geometric_mean(mut a: f64, mut b: f64) -> f64 {
 
 impl Parameters for Pendulum {
     fn prepare(&self, script: &mut Script, _: u64) -> Result<(), ParameterError> {
+        self.check_ranges()?;
         no_turn(&self.task)?;
-        in_range("mass-kg", self.mass_kg, 1e-3, 100.0, "0.001 to 100 kg")?;
-        in_range("radius-m", self.radius_m, 0.01, 0.2, "0.01 to 0.2 m")?;
-        in_range("string-m", self.string_m, 0.1, 100.0, "0.1 to 100 m")?;
         // From lower down it would touch the trunk while it is carried along.
         in_range("release-height-m", self.release_height_m, 0.02, self.string_m, "0.02 m to the string's length")?;
-        in_range("direction-deg", self.direction_deg, -360.0, 360.0, "-360 to 360 degrees")?;
-        in_range("at-s", self.at_s, 0.0, 3600.0, "0 to 3600 s")?;
         let rig = self.rig(&script.scene.robot.trunk);
         rig.hang_in(&mut script.scene);
         script.disturbances.push(Disturbance::Rig(rig));
@@ -171,10 +155,6 @@ impl Parameters for Pendulum {
     fn delay(&mut self, phase_s: f64) {
         self.at_s += phase_s;
         self.task.duration_s += phase_s;
-    }
-
-    fn cost(&self) -> f64 {
-        1.5
     }
 }
 

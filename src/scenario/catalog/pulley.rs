@@ -6,9 +6,6 @@ and the rope's force is the weight's `m (g + a)`. Pulleys are points without fri
 through legs, because a real one, tied to a harness on the back, would not touch them.
 */
 
-use clap::Args;
-use serde::{Deserialize, Serialize};
-
 use super::{ParameterError, Parameters, Task, in_range, metric, no_turn, towards};
 use crate::robot::HARNESS;
 use crate::scenario::Script;
@@ -25,37 +22,26 @@ const UPPER_PULLEY_M: f64 = 0.25;
 /// Time after the release at which the averages of velocity and force start: the rope no longer jerks \[s\].
 const SETTLED_S: f64 = 1.0;
 
-/// Pulley: a hanging weight pulls the trunk.
-#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Pulley {
-    /// The parameters that every scenario has.
-    #[command(flatten)]
-    #[serde(flatten)]
-    pub task: Task,
-    /// Mass of the weight (kg)
-    #[arg(long)]
-    pub mass_kg: f64,
-    /// Direction of the pull from the robot's heading: 0 ahead, 90 left, 180 back (deg)
-    #[arg(long)]
-    pub direction_deg: f64,
-    /// Distance from the robot's course to the pulley; abreast of the robot half-way through the pull if it walks as commanded (m)
-    #[arg(long)]
-    pub distance_m: f64,
-    /// Height of the pulley that the rope comes from (m)
-    #[arg(long)]
-    pub height_m: f64,
-    /// Distance that the weight can sink or rise, in addition to that of the commanded walk, before it meets ground or pulley (m)
-    #[arg(long)]
-    pub drop_m: f64,
-    /// Slack of the rope at the release; the weight falls freely until the rope is taut (m)
-    #[arg(long)]
-    pub slack_m: f64,
-    /// Time at which the weight is released (s)
-    #[arg(long)]
-    pub at_s: f64,
-    /// Duration for which the rope stays on the robot (s)
-    #[arg(long)]
-    pub for_s: f64,
+parameters! {
+    /// Pulley: a hanging weight pulls the trunk.
+    Pulley {
+        /// Mass of the weight (kg)
+        mass_kg: f64 = 1e-3 to 100.0, "0.001 to 100 kg";
+        /// Direction of the pull from the robot's heading: 0 ahead, 90 left, 180 back (deg)
+        direction_deg: f64 = -360.0 to 360.0, "-360 to 360 degrees";
+        /// Distance from the robot's course to the pulley; abreast of the robot half-way through the pull if it walks as commanded (m)
+        distance_m: f64;
+        /// Height of the pulley that the rope comes from (m)
+        height_m: f64 = 0.05 to 10.0, "0.05 to 10 m";
+        /// Distance that the weight can sink or rise, in addition to that of the commanded walk, before it meets ground or pulley (m)
+        drop_m: f64 = 0.1 to 100.0, "0.1 to 100 m";
+        /// Slack of the rope at the release; the weight falls freely until the rope is taut (m)
+        slack_m: f64 = 0.0 to 10.0, "0 to 10 m";
+        /// Time at which the weight is released (s)
+        at_s: f64 = 0.0 to 3600.0, "0 to 3600 s";
+        /// Duration for which the rope stays on the robot (s)
+        for_s: f64 = 0.0 to 3600.0, "0 to 3600 s";
+    }
 }
 
 impl Pulley {
@@ -113,14 +99,8 @@ impl Pulley {
 
 impl Parameters for Pulley {
     fn prepare(&self, script: &mut Script, _: u64) -> Result<(), ParameterError> {
+        self.check_ranges()?;
         no_turn(&self.task)?;
-        in_range("mass-kg", self.mass_kg, 1e-3, 100.0, "0.001 to 100 kg")?;
-        in_range("direction-deg", self.direction_deg, -360.0, 360.0, "-360 to 360 degrees")?;
-        in_range("height-m", self.height_m, 0.05, 10.0, "0.05 to 10 m")?;
-        in_range("drop-m", self.drop_m, 0.1, 100.0, "0.1 to 100 m")?;
-        in_range("slack-m", self.slack_m, 0.0, 10.0, "0 to 10 m")?;
-        in_range("at-s", self.at_s, 0.0, 3600.0, "0 to 3600 s")?;
-        in_range("for-s", self.for_s, 0.0, 3600.0, "0 to 3600 s")?;
         let nearest_m = 0.5 + 0.5 * self.approach_m().abs();
         let expected = "0.5 m to 100 m from where the commanded walk leads (half the way of the pull is on each side)";
         in_range("distance-m", self.distance_m, nearest_m, 100.0, expected)?;
@@ -157,9 +137,5 @@ impl Parameters for Pulley {
     fn delay(&mut self, phase_s: f64) {
         self.at_s += phase_s;
         self.task.duration_s += phase_s;
-    }
-
-    fn cost(&self) -> f64 {
-        1.5
     }
 }

@@ -1,8 +1,6 @@
 //! The scenario `push`: sudden changes of the trunk's velocity (E1 to E4).
 
-use clap::Args;
 use rand::RngExt;
-use serde::{Deserialize, Serialize};
 
 use super::{ParameterError, Parameters, Task, in_range, lasting, metric, towards};
 use crate::scenario::Script;
@@ -11,32 +9,23 @@ use crate::scenario::trace::Trace;
 use crate::util::random::{Purpose, stream};
 use crate::world::{Disturbance, Push};
 
-/// Push: a sudden change of the trunk's velocity.
-#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct PushTrunk {
-    /// The parameters that every scenario has.
-    #[command(flatten)]
-    #[serde(flatten)]
-    pub task: Task,
-    /// Size of the velocity change (m/s)
-    #[arg(long)]
-    pub push_m_s: f64,
-    /// Direction of the push: 0 forward, 90 left (deg)
-    #[arg(long)]
-    pub direction_deg: f64,
-    /// Earliest time of the push; the seed delays it by up to 0.65 s (s)
-    #[arg(long)]
-    pub at_s: f64,
-    /// Push again at this interval; 0 pushes once (s)
-    #[arg(long)]
-    pub every_s: f64,
+parameters! {
+    /// Push: a sudden change of the trunk's velocity.
+    PushTrunk {
+        /// Size of the velocity change (m/s)
+        push_m_s: f64 = 0.0 to 20.0, "0 to 20 m/s";
+        /// Direction of the push: 0 forward, 90 left (deg)
+        direction_deg: f64 = -360.0 to 360.0, "-360 to 360 degrees";
+        /// Earliest time of the push; the seed delays it by up to 0.65 s (s)
+        at_s: f64 = 0.0 to 3600.0, "0 to 3600 s";
+        /// Push again at this interval; 0 pushes once (s)
+        every_s: f64;
+    }
 }
 
 impl Parameters for PushTrunk {
     fn prepare(&self, script: &mut Script, seed: u64) -> Result<(), ParameterError> {
-        in_range("push-m-s", self.push_m_s, 0.0, 20.0, "0 to 20 m/s")?;
-        in_range("direction-deg", self.direction_deg, -360.0, 360.0, "-360 to 360 degrees")?;
-        in_range("at-s", self.at_s, 0.0, 3600.0, "0 to 3600 s")?;
+        self.check_ranges()?;
         if self.every_s != 0.0 {
             in_range("every-s", self.every_s, 0.1, 3600.0, "0.1 to 3600 s, or 0 for a single push")?;
         }

@@ -8,11 +8,9 @@ lies on a mat or on blocks is below 0.2 m and has fallen. A leg that brushes a b
 with the box and the balls.
 */
 
-use clap::Args;
 use rand::RngExt;
-use serde::{Deserialize, Serialize};
 
-use super::{ParameterError, Parameters, Task, in_range, metric, truth};
+use super::{ParameterError, Parameters, Task, metric, truth};
 use crate::scenario::metrics::{self, Metric};
 use crate::scenario::trace::Trace;
 use crate::scenario::{Goal, Script};
@@ -41,37 +39,26 @@ const MOST_DRAWS: u32 = 200;
 /// Maximum number of layouts before an error is returned.
 const MOST_LAYOUTS: u32 = 100;
 
-/// Rubble: wooden blocks and soft mats on the way.
-#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Rubble {
-    /// The parameters that every scenario has.
-    #[command(flatten)]
-    #[serde(flatten)]
-    pub task: Task,
-    /// Number of wooden blocks
-    #[arg(long)]
-    pub blocks: u32,
-    /// Largest edge of a block seen from above; the smallest is half of it (m)
-    #[arg(long)]
-    pub block_edge_m: f64,
-    /// Largest height of a block; the smallest is half of it (m)
-    #[arg(long)]
-    pub block_height_m: f64,
-    /// Number of soft mats, squares of 0.7 m
-    #[arg(long)]
-    pub mats: u32,
-    /// Thickness of a mat (m)
-    #[arg(long)]
-    pub mat_height_m: f64,
-    /// Distance from the robot's centre to where the rubble begins (m)
-    #[arg(long)]
-    pub distance_m: f64,
-    /// Length of the rubble along the way (m)
-    #[arg(long)]
-    pub length_m: f64,
-    /// Width of the rubble across the way (m)
-    #[arg(long)]
-    pub width_m: f64,
+parameters! {
+    /// Rubble: wooden blocks and soft mats on the way.
+    Rubble {
+        /// Number of wooden blocks
+        blocks: u32 = 0.0 to 100.0, "0 to 100";
+        /// Largest edge of a block seen from above; the smallest is half of it (m)
+        block_edge_m: f64 = 0.02 to 0.5, "0.02 to 0.5 m";
+        /// Largest height of a block; the smallest is half of it (m)
+        block_height_m: f64 = 0.01 to 0.5, "0.01 to 0.5 m";
+        /// Number of soft mats, squares of 0.7 m
+        mats: u32 = 0.0 to 50.0, "0 to 50";
+        /// Thickness of a mat (m)
+        mat_height_m: f64 = 0.01 to 0.5, "0.01 to 0.5 m";
+        /// Distance from the robot's centre to where the rubble begins (m)
+        distance_m: f64 = 0.4 to 100.0, "0.4 to 100 m, clear of the robot";
+        /// Length of the rubble along the way (m)
+        length_m: f64 = 1.0 to 100.0, "1 to 100 m";
+        /// Width of the rubble across the way (m)
+        width_m: f64 = 1.0 to 100.0, "1 to 100 m";
+    }
 }
 
 /// A block or a mat.
@@ -119,7 +106,7 @@ impl Rubble {
         // The first pieces may leave no place for the others: then all are laid out anew.
         let laid_out = (0..MOST_LAYOUTS).find_map(|_| self.lay_out(&mut rng));
         let mut mats = laid_out.ok_or(ParameterError {
-            name: "blocks",
+            name: "blocks".into(),
             found: format!("{} with {} mats", self.blocks, self.mats),
             expected: "fewer of them, or a larger --length-m or --width-m: they do not fit side by side",
         })?;
@@ -157,14 +144,7 @@ impl Rubble {
 
 impl Parameters for Rubble {
     fn prepare(&self, script: &mut Script, seed: u64) -> Result<(), ParameterError> {
-        in_range("blocks", f64::from(self.blocks), 0.0, 100.0, "0 to 100")?;
-        in_range("block-edge-m", self.block_edge_m, 0.02, 0.5, "0.02 to 0.5 m")?;
-        in_range("block-height-m", self.block_height_m, 0.01, 0.5, "0.01 to 0.5 m")?;
-        in_range("mats", f64::from(self.mats), 0.0, 50.0, "0 to 50")?;
-        in_range("mat-height-m", self.mat_height_m, 0.01, 0.5, "0.01 to 0.5 m")?;
-        in_range("distance-m", self.distance_m, 0.4, 100.0, "0.4 to 100 m, clear of the robot")?;
-        in_range("length-m", self.length_m, 1.0, 100.0, "1 to 100 m")?;
-        in_range("width-m", self.width_m, 1.0, 100.0, "1 to 100 m")?;
+        self.check_ranges()?;
         let (mats, blocks) = self.pieces(seed)?;
         let mut obstacles = String::new();
         for (index, mat) in mats.iter().enumerate() {
@@ -199,10 +179,6 @@ impl Parameters for Rubble {
     /// Moves the rubble away by the distance walked during the delay.
     fn delay(&mut self, phase_s: f64) {
         self.distance_m += phase_s * self.task.forward_m_s;
-    }
-
-    fn cost(&self) -> f64 {
-        20.0
     }
 }
 

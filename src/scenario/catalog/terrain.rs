@@ -1,9 +1,9 @@
 //! The scenario `terrain`: Perlin noise, steps or a slope (E8).
 
-use clap::{Args, ValueEnum};
+use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 
-use super::{ParameterError, Parameters, Task, in_range};
+use super::{ParameterError, Parameters, Task};
 use crate::scenario::Script;
 use crate::sim::terrain;
 use crate::sim::{Buffers, Ground};
@@ -27,44 +27,31 @@ pub enum TerrainKind {
     Slope,
 }
 
-/// Terrain: uneven ground.
-#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct UnevenGround {
-    /// The parameters that every scenario has.
-    #[command(flatten)]
-    #[serde(flatten)]
-    pub task: Task,
-    /// Shape of the ground
-    #[arg(long, value_enum)]
-    pub kind: TerrainKind,
-    /// Perlin: peak to peak; steps: rise of each (m)
-    #[arg(long)]
-    pub height_m: f64,
-    /// Perlin: lattice cells per metre (1/m)
-    #[arg(long)]
-    pub frequency_per_m: f64,
-    /// Steps: length of each step (m)
-    #[arg(long)]
-    pub step_length_m: f64,
-    /// Steps: number of steps up, followed by as many down
-    #[arg(long)]
-    pub steps: u32,
-    /// Slope: incline, rise over run
-    #[arg(long)]
-    pub incline: f64,
+parameters! {
+    /// Terrain: uneven ground.
+    UnevenGround {
+        /// Shape of the ground
+        kind: TerrainKind;
+        /// Perlin: peak to peak; steps: rise of each (m)
+        height_m: f64 = 0.0 to 2.0, "0 to 2 m";
+        /// Perlin: lattice cells per metre (1/m)
+        frequency_per_m: f64 = 0.01 to 10.0, "0.01 to 10 per metre";
+        /// Steps: length of each step (m)
+        step_length_m: f64 = 0.1 to 10.0, "0.1 to 10 m";
+        /// Steps: number of steps up, followed by as many down
+        steps: u32 = 1.0 to 100.0, "1 to 100";
+        /// Slope: incline, rise over run
+        incline: f64 = -1.0 to 1.0, "-1 to 1";
+    }
 }
 
 impl Parameters for UnevenGround {
     fn prepare(&self, script: &mut Script, seed: u64) -> Result<(), ParameterError> {
-        in_range("height-m", self.height_m, 0.0, 2.0, "0 to 2 m")?;
-        in_range("frequency-per-m", self.frequency_per_m, 0.01, 10.0, "0.01 to 10 per metre")?;
-        in_range("step-length-m", self.step_length_m, 0.1, 10.0, "0.1 to 10 m")?;
-        in_range("steps", f64::from(self.steps), 1.0, 100.0, "1 to 100")?;
-        in_range("incline", self.incline, -1.0, 1.0, "-1 to 1")?;
+        self.check_ranges()?;
         let way = [self.task.forward_m_s, self.task.left_m_s].map(|speed| speed.abs() * self.task.duration_s);
         if way[0].max(way[1]) > LONGEST_WAY_M {
-            let found = self.task.duration_s.to_string();
-            return Err(ParameterError { name: "duration-s", found, expected: "a way of at most 30 m at the command" });
+            let (found, expected) = (self.task.duration_s.to_string(), "a way of at most 30 m at the command");
+            return Err(ParameterError { name: "duration-s".into(), found, expected });
         }
         // A robot that turns may walk in any direction.
         let way = if self.task.yaw_rad_s == 0.0 { way } else { [way[0].hypot(way[1]); 2] };
@@ -77,9 +64,5 @@ impl Parameters for UnevenGround {
         script.scene.ground = Ground::Field(field.into());
         script.scene.buffers = Buffers { contacts: 200, rows: 900, stack: 200_000 };
         Ok(())
-    }
-
-    fn cost(&self) -> f64 {
-        4.0
     }
 }

@@ -1,17 +1,15 @@
 //! The scenario `walk`: walking without disturbance (E0).
 
-use clap::Args;
-use serde::{Deserialize, Serialize};
+use super::{ParameterError, Parameters, Task};
+use crate::scenario::Script;
 
-use super::{Parameters, Task};
-
-/// Walk without disturbance.
-#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Walk {
-    /// The parameters that every scenario has.
-    #[command(flatten)]
-    #[serde(flatten)]
-    pub task: Task,
+parameters! {
+    /// Walk without disturbance.
+    Walk {}
 }
 
-impl Parameters for Walk {}
+impl Parameters for Walk {
+    fn prepare(&self, _: &mut Script, _: u64) -> Result<(), ParameterError> {
+        self.check_ranges()
+    }
+}

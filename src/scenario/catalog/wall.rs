@@ -1,9 +1,6 @@
 //! The scenario `wall`: a soft wall across the course (E14).
 
-use clap::Args;
-use serde::{Deserialize, Serialize};
-
-use super::{ParameterError, Parameters, Task, in_range, metric};
+use super::{ParameterError, Parameters, Task, metric};
 use crate::scenario::Script;
 use crate::scenario::metrics::{self, Metric};
 use crate::scenario::trace::{Frame, SpringState, Trace};
@@ -12,29 +9,21 @@ use crate::world::disturbance::{Disturbance, Spring, SpringEnd};
 /// Duration of the first impact \[s\].
 const BLOW_S: f64 = 1.0;
 
-/// Wall: walk into a soft wall.
-#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Wall {
-    /// The parameters that every scenario has.
-    #[command(flatten)]
-    #[serde(flatten)]
-    pub task: Task,
-    /// Distance from the start at which the wall begins to press on the trunk's centre of mass (m)
-    #[arg(long)]
-    pub distance_m: f64,
-    /// Stiffness of the wall (N/m)
-    #[arg(long)]
-    pub stiffness_n_per_m: f64,
-    /// Damping of the wall (N s/m)
-    #[arg(long)]
-    pub damping_n_s_per_m: f64,
+parameters! {
+    /// Wall: walk into a soft wall.
+    Wall {
+        /// Distance from the start at which the wall begins to press on the trunk's centre of mass (m)
+        distance_m: f64 = 0.0 to 100.0, "0 to 100 m";
+        /// Stiffness of the wall (N/m)
+        stiffness_n_per_m: f64 = 1.0 to 20_000.0, "1 to 20000 N/m";
+        /// Damping of the wall (N s/m)
+        damping_n_s_per_m: f64 = 0.0 to 500.0, "0 to 500 N s/m";
+    }
 }
 
 impl Parameters for Wall {
     fn prepare(&self, script: &mut Script, _: u64) -> Result<(), ParameterError> {
-        in_range("distance-m", self.distance_m, 0.0, 100.0, "0 to 100 m")?;
-        in_range("stiffness-n-per-m", self.stiffness_n_per_m, 1.0, 20_000.0, "1 to 20000 N/m")?;
-        in_range("damping-n-s-per-m", self.damping_n_s_per_m, 0.0, 500.0, "0 to 500 N s/m")?;
+        self.check_ranges()?;
         script.disturbances.push(Disturbance::Spring(Spring {
             end: SpringEnd::Wall,
             from_s: 0.0,

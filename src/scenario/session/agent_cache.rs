@@ -4,35 +4,14 @@ use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
 
-use super::Seat;
+use super::{Seat, SessionError};
 use crate::policy::compliance::{PolicyCalibration, split_compliance};
-use crate::policy::{Agent, AgentError, Policy, shipped};
+use crate::policy::{Agent, Policy, shipped};
 use crate::robot::Robot;
 use crate::util::files::{self, FileError};
 
 /// Maximum size of a policy file \[bytes\].
 const MAX_BYTES: u64 = 64 << 20;
-
-/// Error while loading a policy.
-#[derive(Debug, thiserror::Error)]
-pub enum AgentCacheError {
-    /// The policy does not exist or is invalid.
-    #[error(transparent)]
-    Agent(#[from] AgentError),
-    /// The file is not a policy, or the robot is invalid.
-    #[error(transparent)]
-    File(#[from] FileError),
-    /// The policy or robot differs from the saved one.
-    #[error("{what} has changed: its SHA-256 is {found}, expected {expected}; restore the original")]
-    Changed {
-        /// Name of the policy or robot.
-        what: String,
-        /// First digits of the saved SHA-256.
-        expected: String,
-        /// First digits of the SHA-256 that was found.
-        found: String,
-    },
-}
 
 /// Policies by SHA-256, with the files of those that do not ship. A clone shares them.
 #[derive(Debug, Clone, Default)]
@@ -48,7 +27,7 @@ impl AgentCache {
     ///
     /// # Errors
     /// The policy or robot does not exist or is invalid.
-    pub fn find(&mut self, policy: &str, robot: Option<&str>) -> Result<Seat, AgentCacheError> {
+    pub fn find(&mut self, policy: &str, robot: Option<&str>) -> Result<Seat, SessionError> {
         let (policy, compliance) = split_compliance(policy);
         let (mut agent, file) = AgentCache::read(policy)?;
         let robot = Robot::load(robot.unwrap_or(&agent.config.robot.model))?;
@@ -76,17 +55,14 @@ impl AgentCache {
     }
 
     /// Adds a policy given as the bytes of its file.
-    ///
-    /// # Errors
-    /// The bytes are not a policy file.
-    pub fn put_file(&mut self, name: &str, file: Vec<u8>) -> Result<(), AgentCacheError> {
+    pub(super) fn put_file(&mut self, name: &str, file: Vec<u8>) -> Result<(), SessionError> {
         let agent = Agent::from(Policy::from_bytes(&file, Path::new(name))?);
         self.put(agent, Some(file));
         Ok(())
     }
 
     /// Adds a calibration for a policy that is added later.
-    pub fn put_calibration(&mut self, calibration: PolicyCalibration) {
+    pub(super) fn put_calibration(&mut self, calibration: PolicyCalibration) {
         self.calibrations.insert(calibration.sha256.clone(), calibration);
     }
 
@@ -94,7 +70,7 @@ impl AgentCache {
     ///
     /// # Errors
     /// The policy or robot no longer exists or has changed.
-    pub fn take(&mut self, seat: &Seat) -> Result<Arc<Agent>, AgentCacheError> {
+    pub fn take(&mut self, seat: &Seat) -> Result<Arc<Agent>, SessionError> {
         let robot = Robot::load(&seat.robot)?;
         unchanged(&format!("the robot '{}'", seat.robot), &seat.robot_sha256, robot.sha256())?;
         self.renewed(seat)
@@ -102,10 +78,7 @@ impl AgentCache {
 
     /// Returns the policy of a seat whose robot is in the session already, without reading the robot's files again, or those
     /// of a policy in the cache.
-    ///
-    /// # Errors
-    /// The policy no longer exists or has changed.
-    pub(super) fn renewed(&mut self, seat: &Seat) -> Result<Arc<Agent>, AgentCacheError> {
+    pub(super) fn renewed(&mut self, seat: &Seat) -> Result<Arc<Agent>, SessionError> {
         if !self.agents.contains_key(&seat.sha256) {
             let (agent, file) = AgentCache::read(&seat.policy)?;
             unchanged(&format!("the policy '{}'", seat.policy), &seat.sha256, &agent.sha256)?;
@@ -149,7 +122,7 @@ impl AgentCache {
     ///
     /// # Errors
     /// The policy does not exist or is invalid.
-    pub fn read(name: &str) -> Result<(Agent, Option<Vec<u8>>), AgentCacheError> {
+    pub fn read(name: &str) -> Result<(Agent, Option<Vec<u8>>), SessionError> {
         let agent = shipped::find(name)?;
         let Some(path) = shipped::file_of(name).filter(|_| agent.policy().is_some()) else { return Ok((agent, None)) };
         let file = files::read_bounded(&path, MAX_BYTES).map_err(FileError::of("policy", &path))?;
@@ -161,12 +134,12 @@ impl AgentCache {
     }
 }
 
-fn unchanged(what: &str, expected: &str, found: &str) -> Result<(), AgentCacheError> {
+fn unchanged(what: &str, expected: &str, found: &str) -> Result<(), SessionError> {
     if expected == found {
         return Ok(());
     }
     let [expected, found] = [expected, found].map(|sha256| sha256.chars().take(12).collect());
-    Err(AgentCacheError::Changed { what: what.to_owned(), expected, found })
+    Err(SessionError::Changed { what: what.to_owned(), expected, found })
 }
 
 #[cfg(test)]

@@ -8,12 +8,10 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::scene::SceneError;
-use super::{Act, AgentCache, AgentCacheError, Input, Seat, Setup};
+use super::{Act, AgentCache, Input, Seat, SessionError, Setup};
 use crate::config::Simulation;
 use crate::mujoco;
 use crate::policy::Agent;
-use crate::policy::compliance::ComplianceError;
 use crate::scenario::trace::{Event, EventKind, Frame};
 use crate::scenario::{Playback, Script};
 use crate::sim::Scene;
@@ -25,37 +23,6 @@ pub const RATE_HZ: u64 = 240;
 
 /// Maximum number of robots in a session.
 const MOST_ROBOTS: usize = 2;
-
-/// Error of a live session.
-#[derive(Debug, thiserror::Error)]
-pub enum LiveSessionError {
-    /// A policy or robot cannot be loaded.
-    #[error(transparent)]
-    AgentCache(#[from] AgentCacheError),
-    /// The scene cannot be built.
-    #[error(transparent)]
-    Scene(#[from] SceneError),
-    /// The policy does not support the commanded compliance.
-    #[error(transparent)]
-    Compliance(#[from] ComplianceError),
-    /// MuJoCo fails even after a reset.
-    #[error(transparent)]
-    Physics(#[from] mujoco::Error),
-    /// The newer policy needs other rates, gains or latency.
-    #[error("the newer policy runs at other rates, gains or latency: it needs a world of its own")]
-    OtherBody,
-    /// An input has a number that no file can hold.
-    #[error("a number of the input is not finite")]
-    NotFinite,
-    /// The setup has too few or too many robots, or an input names one that does not exist.
-    #[error("{found} of robots, expected {expected}")]
-    Robots {
-        /// Description of the number that was found.
-        found: String,
-        /// Description of the allowed numbers.
-        expected: String,
-    },
-}
 
 /// A policy step of one robot.
 #[derive(Debug, Clone)]
@@ -99,15 +66,12 @@ impl LiveSession {
     ///
     /// # Errors
     /// A policy, robot or scene cannot be loaded, or the setup does not fit.
-    pub fn new(setup: Setup, shelf: &mut AgentCache) -> Result<Self, LiveSessionError> {
+    pub fn new(setup: Setup, shelf: &mut AgentCache) -> Result<Self, SessionError> {
         if !(1..=MOST_ROBOTS).contains(&setup.robots.len()) {
-            return Err(LiveSessionError::Robots {
-                found: setup.robots.len().to_string(),
-                expected: "one or two".into(),
-            });
+            return Err(SessionError::Robots { found: setup.robots.len().to_string(), expected: "one or two".into() });
         }
         let player = |seat: &Seat| Player::new(&setup, seat, shelf.take(seat)?);
-        let players = setup.robots.iter().map(player).collect::<Result<_, LiveSessionError>>()?;
+        let players = setup.robots.iter().map(player).collect::<Result<_, SessionError>>()?;
         Ok(LiveSession { setup, players, since: 0 })
     }
 
@@ -153,7 +117,7 @@ impl LiveSession {
     }
 
     /// Iterates over the mass of each robot \[kg\].
-    pub fn masses_kg(&self) -> impl Iterator<Item = f64> + '_ {
+    pub(super) fn masses_kg(&self) -> impl Iterator<Item = f64> + '_ {
         self.players.iter().map(|player| player.script.scene.robot.mass_kg)
     }
 
@@ -182,7 +146,7 @@ impl LiveSession {
     /// # Errors
     /// The input does not fit the session; the session is then unchanged. Or MuJoCo fails in a reset, which may have reset
     /// the first robot but not the second: the session cannot go on.
-    pub fn apply(&mut self, input: &Input, shelf: &mut AgentCache) -> Result<(), LiveSessionError> {
+    pub fn apply(&mut self, input: &Input, shelf: &mut AgentCache) -> Result<(), SessionError> {
         match input {
             Input::Act(act) => self.act(act)?,
             Input::Renew { robot, sha256 } => {
@@ -191,7 +155,7 @@ impl LiveSession {
                 let agent = shelf.renewed(&renewed)?;
                 renewed.compliance = agent.resolve_compliance(seat.compliance, None).unwrap_or(None);
                 if agent.config.simulation != player.agent.config.simulation {
-                    return Err(LiveSessionError::OtherBody);
+                    return Err(SessionError::OtherBody);
                 }
                 player.rollout.hand_over(agent.shared_controller());
                 player.rollout.ask(Command { compliance: renewed.compliance, ..*player.rollout.command() });
@@ -203,9 +167,9 @@ impl LiveSession {
         Ok(())
     }
 
-    fn act(&mut self, act: &Act) -> Result<(), LiveSessionError> {
+    fn act(&mut self, act: &Act) -> Result<(), SessionError> {
         if !act.is_finite() {
-            return Err(LiveSessionError::NotFinite);
+            return Err(SessionError::NotFinite);
         }
         match act {
             Act::Command(command) => self.rollouts().for_each(|rollout| {
@@ -226,10 +190,10 @@ impl LiveSession {
         Ok(())
     }
 
-    fn robot(&mut self, robot: usize) -> Result<(&mut Seat, &mut Player), LiveSessionError> {
+    fn robot(&mut self, robot: usize) -> Result<(&mut Seat, &mut Player), SessionError> {
         let expected = format!("0 to {}", self.players.len() - 1);
         let found = self.setup.robots.get_mut(robot).zip(self.players.get_mut(robot));
-        found.ok_or_else(|| LiveSessionError::Robots { found: format!("number {robot}"), expected })
+        found.ok_or_else(|| SessionError::Robots { found: format!("number {robot}"), expected })
     }
 
     fn rollouts(&mut self) -> impl Iterator<Item = &mut Playback<'static>> {
@@ -240,7 +204,7 @@ impl LiveSession {
     ///
     /// # Errors
     /// MuJoCo fails even after a reset of the robot.
-    pub fn step(&mut self) -> Result<Vec<RobotStep>, LiveSessionError> {
+    pub fn step(&mut self) -> Result<Vec<RobotStep>, SessionError> {
         let tick = self.tick() - self.since;
         let due = self.players.par_iter_mut().enumerate().filter(|(_, player)| player.due() == tick);
         Ok(due.map(|(robot, player)| player.step(robot)).collect::<mujoco::Result<_>>()?)
@@ -258,12 +222,11 @@ impl LiveSession {
 }
 
 impl Player {
-    fn new(setup: &Setup, seat: &Seat, agent: Arc<Agent>) -> Result<Self, LiveSessionError> {
+    fn new(setup: &Setup, seat: &Seat, agent: Arc<Agent>) -> Result<Self, SessionError> {
         let mut script = setup.scene.script(setup.seed, &agent.config)?;
         script.command.compliance = agent.resolve_compliance(seat.compliance, None)?;
-        let controller = agent.shared_controller();
         let rollout =
-            Playback::owned(script.clone(), agent.config.clone(), controller)?.with_felt_forces()?.with_bodies();
+            Playback::new(&script, &agent.config, agent.shared_controller())?.with_felt_forces()?.with_bodies();
         Ok(Player { agent, script, rollout, is_beginning: true, steps: 0, falls: 0 })
     }
 

@@ -4,7 +4,7 @@ use super::{
     Act, Input, LiveReadout, LiveSession, Outcome, PullReading, PushReading, SceneKind, Seat, SessionError,
     SessionReplay,
 };
-use crate::scenario::metrics::{Metric, STRIDE_S};
+use crate::scenario::metrics::{self, Metric, STRIDE_S, average};
 use crate::scenario::trace::{EventKind, Frame, Trace};
 
 /// A part of a session in which scene, policy and compliance of one robot do not change.
@@ -140,20 +140,16 @@ impl Take {
     pub fn metrics(&self) -> Vec<Metric> {
         let count = |kind: EventKind| self.trace.events.iter().filter(|event| event.kind == kind).count() as f64;
         let over: Vec<&PushReading> = self.pushes.iter().filter(|push| push.outcome == Outcome::Over).collect();
-        let mean = |values: &mut dyn Iterator<Item = f64>| {
-            let (sum, count) = values.fold((0.0, 0_u32), |(sum, count), value| (sum + value, count + 1));
-            (count > 0).then(|| sum / f64::from(count))
-        };
-        let pushed = mean(&mut over.iter().map(|push| push.size_m_s[0].hypot(push.size_m_s[1])));
-        let carried = mean(&mut over.iter().filter_map(|push| push.carried_m));
-        let decay = mean(&mut over.iter().filter_map(|push| push.decay_s));
-        let pulled = mean(&mut self.pulls.iter().map(|pull| pull.force_n));
-        let gives = mean(&mut self.pulls.iter().map(|pull| pull.gives_m_s));
-        let power = mean(&mut self.trace.frames.iter().map(|frame| frame.power_w));
-        let error = mean(&mut self.trace.frames.iter().map(|frame| {
+        let pushed = average(over.iter().map(|push| push.size_m_s[0].hypot(push.size_m_s[1])));
+        let carried = average(over.iter().filter_map(|push| push.carried_m));
+        let decay = average(over.iter().filter_map(|push| push.decay_s));
+        let pulled = average(self.pulls.iter().map(|pull| pull.force_n));
+        let gives = average(self.pulls.iter().map(|pull| pull.gives_m_s));
+        let power = metrics::mean(self.trace.frames.iter(), |frame| frame.power_w);
+        let error = metrics::mean(self.trace.frames.iter(), |frame| {
             let [forward, left, _] = frame.velocity_in_heading;
             (forward - frame.command.forward).hypot(left - frame.command.left)
-        }));
+        });
         let duration_s = self.trace.frames.len() as f64 * self.trace.period_s;
         let metric = Metric::new;
         let (no_frame, no_push, no_pull) =

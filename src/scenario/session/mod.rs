@@ -17,14 +17,63 @@ mod tests;
 
 use serde::{Deserialize, Serialize};
 
-pub use agent_cache::{AgentCache, AgentCacheError};
-pub use live_session::{LiveSession, LiveSessionError, RATE_HZ, RobotStep};
+pub use agent_cache::AgentCache;
+pub use live_session::{LiveSession, RATE_HZ, RobotStep};
 pub use measure::{Take, takes};
 pub use readout::{CARRIED_S, LiveReadout, Outcome, PullReading, PushReading, Reading};
-pub use saved_session::{ReplayStep, SavedSession, SessionError, SessionPart, SessionReplay, Writer};
+pub use saved_session::{ReplayStep, SavedSession, SessionPart, SessionReplay, Writer};
 pub use scene::SceneKind;
 
+use crate::mujoco;
+use crate::policy::AgentError;
+use crate::policy::compliance::ComplianceError;
+use crate::scenario::catalog::ScriptError;
 use crate::task::Command;
+use crate::util::files::FileError;
+
+/// Error of a session, live or saved.
+#[derive(Debug, thiserror::Error)]
+pub enum SessionError {
+    /// The policy does not exist or is invalid.
+    #[error(transparent)]
+    Agent(#[from] AgentError),
+    /// A file is no policy or session, or the robot is invalid.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// The policy or robot differs from the saved one.
+    #[error("{what} has changed: its SHA-256 is {found}, expected {expected}; restore the original")]
+    Changed {
+        /// Name of the policy or robot.
+        what: String,
+        /// First digits of the saved SHA-256.
+        expected: String,
+        /// First digits of the SHA-256 that was found.
+        found: String,
+    },
+    /// The scene cannot be built.
+    #[error(transparent)]
+    Script(#[from] ScriptError),
+    /// The policy does not support the commanded compliance.
+    #[error(transparent)]
+    Compliance(#[from] ComplianceError),
+    /// MuJoCo fails even after a reset.
+    #[error(transparent)]
+    Physics(#[from] mujoco::Error),
+    /// The newer policy needs other rates, gains or latency.
+    #[error("the newer policy runs at other rates, gains or latency: it needs a world of its own")]
+    OtherBody,
+    /// An input has a number that no file can hold.
+    #[error("a number of the input is not finite")]
+    NotFinite,
+    /// The setup has too few or too many robots, or an input names one that does not exist.
+    #[error("{found} of robots, expected {expected}")]
+    Robots {
+        /// Description of the number that was found.
+        found: String,
+        /// Description of the allowed numbers.
+        expected: String,
+    },
+}
 
 /// The setup of a session; the same setup always starts in the same state.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

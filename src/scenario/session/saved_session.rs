@@ -15,7 +15,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::{AgentCache, AgentCacheError, Input, LiveSession, LiveSessionError, RATE_HZ, RobotStep, Setup};
+use super::{AgentCache, Input, LiveSession, RATE_HZ, RobotStep, SessionError, Setup};
 use crate::policy::compliance::PolicyCalibration;
 use crate::provenance;
 use crate::util::files::{self, FileError};
@@ -34,20 +34,6 @@ const LONGEST_DAYS: u64 = 30;
 
 /// Maximum length of a session \[ticks\].
 const LONGEST: u64 = LONGEST_DAYS * 24 * 3600 * RATE_HZ;
-
-/// Error while loading or replaying a session.
-#[derive(Debug, thiserror::Error)]
-pub enum SessionError {
-    /// The file is not a session.
-    #[error(transparent)]
-    File(#[from] FileError),
-    /// A policy cannot be loaded.
-    #[error(transparent)]
-    AgentCache(#[from] AgentCacheError),
-    /// An input cannot be applied.
-    #[error(transparent)]
-    LiveSession(#[from] LiveSessionError),
-}
 
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]

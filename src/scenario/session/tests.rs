@@ -5,7 +5,8 @@ use std::path::Path;
 use super::*;
 use crate::config::Config;
 use crate::network::ActorCritic;
-use crate::policy::{Agent, Policy, Provenance};
+use crate::policy::file::tests::untrained;
+use crate::policy::{Agent, Policy};
 use crate::robot::{JOINTS, Robot};
 use crate::scenario::metrics::{self, STRIDE_S};
 use crate::scenario::trace::{EventKind, Frame, Trace};
@@ -15,19 +16,9 @@ use crate::util::random::{Purpose, stream};
 fn standing(pose: [f64; 3]) -> Vec<u8> {
     let mut config = Config::load("compliant").unwrap();
     config.action.nominal_pose_rad = crate::config::PerJoint::Alike(pose);
-    let layout = config.layout().unwrap();
-    let mut rng = stream(0, Purpose::Weights, 0, 0);
-    let network = ActorCritic::orthogonal(layout.length(), &[8], JOINTS, -1.0, &mut rng).zeros_like();
-    let robot = Robot::load("go1").unwrap();
-    let provenance = Provenance {
-        config_name: "compliant".into(),
-        config,
-        seed: 0,
-        samples: 0,
-        git_revision: "test".into(),
-        mujoco_version: "2.2.2".into(),
-    };
-    Policy::new(&network, &robot, layout, provenance).to_bytes().unwrap()
+    let inputs = config.layout().unwrap().length();
+    let network = ActorCritic::orthogonal(inputs, &[8], JOINTS, -1.0, &mut stream(0, Purpose::Weights, 0, 0));
+    untrained(&network.zeros_like(), config).to_bytes().unwrap()
 }
 
 const UPRIGHT: [f64; 3] = [0.0, 0.72, -1.44];
@@ -64,6 +55,14 @@ fn drive(inputs: &[(u64, Input)], until: u64) -> (LiveSession, Writer) {
     (world, writer)
 }
 
+/// Saves a driven session from a tick on and reads it.
+fn saved(world: &LiveSession, writer: &mut Writer, from: Option<u64>) -> SavedSession {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("kept.jsonl");
+    writer.part(from, world.tick(), world.fingerprint()).unwrap().write_new(&path).unwrap();
+    SavedSession::load(&path).unwrap()
+}
+
 fn walk(forward: f64) -> Input {
     Input::Act(Act::Command(Command::velocity(forward, 0.0, 0.0)))
 }
@@ -84,11 +83,8 @@ fn sessions_replay_to_the_last_bit_from_any_setup() {
         (300, Input::Act(Act::Push { size: [4.0, 0.0], unit: PushUnit::Momentum })),
     ];
     let (world, mut writer) = drive(&inputs, 360);
-    let folder = tempfile::tempdir().unwrap();
     for from in [None, Some(280), Some(120)] {
-        let path = folder.path().join(format!("kept-{from:?}.jsonl"));
-        writer.part(from, world.tick(), world.fingerprint()).unwrap().write_new(&path).unwrap();
-        let session = SavedSession::load(&path).unwrap();
+        let session = saved(&world, &mut writer, from);
         // From 280 on, nothing from before the box matters.
         let count = if from == Some(280) { 3 } else { inputs.len() + 1 };
         assert_eq!(session.inputs().len(), count);
@@ -116,10 +112,7 @@ fn commanded_compliance_changes_one_robot_only() {
         (2640, Input::Act(Act::Hand(None))),
     ];
     let (world, mut writer) = drive(&inputs, 2700);
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("kept.jsonl");
-    writer.part(None, world.tick(), world.fingerprint()).unwrap().write_new(&path).unwrap();
-    let mut playback = SavedSession::load(&path).unwrap().play().unwrap();
+    let mut playback = saved(&world, &mut writer, None).play().unwrap();
     let takes = takes(&mut playback).unwrap();
     assert_eq!(playback.verify(), Some(Ok(())));
     let told: Vec<_> = takes.iter().map(|take| (take.seat.policy.as_str(), take.seat.compliance)).collect();
@@ -146,10 +139,7 @@ fn inputs_of_one_tick_are_measured_as_they_leave_the_world() {
         (720, push),
     ];
     let (world, mut writer) = drive(&inputs, 960);
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("kept.jsonl");
-    writer.part(None, world.tick(), world.fingerprint()).unwrap().write_new(&path).unwrap();
-    let takes = takes(&mut SavedSession::load(&path).unwrap().play().unwrap()).unwrap();
+    let takes = takes(&mut saved(&world, &mut writer, None).play().unwrap()).unwrap();
     let policies: Vec<_> = takes.iter().map(|take| take.seat.policy.as_str()).collect();
     assert_eq!(policies, ["compliant", "baseline", "baseline"]);
     let outcomes = |take: &Take| take.pushes.iter().map(|push| push.outcome).collect::<Vec<_>>();
@@ -221,12 +211,7 @@ fn fallen_robots_are_set_on_their_feet_and_counted() {
     let (before, after) = (&frames[again - 1].1, &frames[again].1);
     assert!((after.time_s - fell_s - 2.0).abs() < 0.04, "fell at {fell_s}, stood at {}", after.time_s);
     for axis in [0, 1] {
-        assert!(
-            (before.position[axis] - after.position[axis]).abs() < 0.01,
-            "{:?} {:?}",
-            before.position,
-            after.position
-        );
+        assert!((before.position[axis] - after.position[axis]).abs() < 0.01, "{before:?} {after:?}");
     }
     let turned = (before.roll_pitch_yaw[2] - after.roll_pitch_yaw[2]).abs();
     assert!(turned < 0.01 && after.roll_pitch_yaw[0].abs() < 0.02 && after.height_m > 0.25, "{after:?}");

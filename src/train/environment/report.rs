@@ -64,6 +64,6 @@ pub struct EpisodeFault {
     pub episode: u64,
     /// Number of earlier steps in the episode.
     pub step: usize,
-    /// CSV of the last second before the fault, see [`crate::sim::last_second::LastSecond::csv`].
+    /// CSV of the last second before the fault.
     pub last_second: String,
 }
