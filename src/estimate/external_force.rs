@@ -498,14 +498,14 @@ mod tests {
         let robot = Robot::load("go1").unwrap();
         let (mut observer, good) = (ForceObserver::new(&robot).unwrap(), still(&robot));
         (0..9).for_each(|_| drop(observer.update(&good, DT_S)));
-        let before = observer.forces;
+        let before = observer.memory.forces;
         let (mut torque, mut turn) = (good, good);
         torque.torques[4] = f64::NAN;
         turn.world_from_base.as_mut_unchecked().coords.x = f64::INFINITY;
         for (bad, words) in [(torque, "torque of FL_thigh reads NaN"), (turn, "orientation x reads inf")] {
             let fault = observer.update(&bad, DT_S).unwrap_err().to_string();
             assert!(fault.contains(words), "{fault}");
-            assert_eq!(observer.forces, ExternalForces { doubt: Some(Doubt::Refused), ..before });
+            assert_eq!(observer.memory.forces, ExternalForces { doubt: Some(Doubt::Refused), ..before });
             assert_eq!(observer.update(&good, DT_S).unwrap().doubt, Some(Doubt::Starting));
         }
         assert_eq!(observer.update(&good, DT_S).unwrap().doubt, before.doubt);
