@@ -5,6 +5,8 @@ Everything else (both learners, inference, checkpoints, ONNX) reads and writes t
 
 use std::collections::BTreeMap;
 
+use candle_core::Tensor;
+use candle_nn::{Linear, Module};
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 
@@ -217,6 +219,18 @@ fn orthonormal_vectors(count: usize, length: usize, rng: &mut impl Rng) -> Vec<V
         vectors.push(vector);
     }
     vectors
+}
+
+/// Evaluates candle's layers as [`PackedMlp`](super::PackedMlp) does plain ones.
+pub fn forward(layers: &[Linear], observations: &Tensor) -> candle_core::Result<Tensor> {
+    let mut x = observations.clone();
+    for (i, layer) in layers.iter().enumerate() {
+        x = layer.forward(&x)?;
+        if i + 1 < layers.len() {
+            x = x.elu(1.0)?;
+        }
+    }
+    Ok(x)
 }
 
 #[cfg(test)]

@@ -9,7 +9,7 @@ mod layers;
 mod packed;
 pub(crate) mod panel;
 
-pub(crate) use layers::NetworkError;
 pub use layers::{ActorCritic, Layer, Mlp};
+pub(crate) use layers::{NetworkError, forward};
 pub(crate) use packed::BLOCK;
 pub use packed::{PackedMlp, Scratch};

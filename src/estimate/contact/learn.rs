@@ -4,8 +4,7 @@ use candle_core::{Device, Result, Tensor, Var};
 use candle_nn::{AdamW, Linear, Optimizer, ParamsAdamW};
 use rand::seq::SliceRandom;
 
-use crate::network::{Layer, Mlp};
-use crate::ppo::candle::forward;
+use crate::network::{Layer, Mlp, forward};
 use crate::util::random::{Purpose, stream};
 
 /// Training samples: inputs with their labels.

@@ -18,4 +18,3 @@ pub use learner::CandleLearner;
 pub use loss::Loss;
 pub(super) use loss::OPTIONAL_KEYS;
 pub use networks::CandleNetworks;
-pub(crate) use networks::forward;

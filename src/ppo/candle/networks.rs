@@ -1,10 +1,10 @@
 //! Policy and value function as candle's variables, and conversion back to plain numbers.
 
 use candle_core::{DType, Device, Error, Result, Tensor, Var};
-use candle_nn::{Linear, Module};
+use candle_nn::Linear;
 
 use crate::config::LOG_STD_RANGE;
-use crate::network::{ActorCritic, Mlp};
+use crate::network::{ActorCritic, Mlp, forward};
 
 /// A differentiable copy of an [`ActorCritic`].
 pub struct CandleNetworks {
@@ -44,18 +44,6 @@ impl CandleNetworks {
         let [low, high] = LOG_STD_RANGE;
         self.log_std.set(&self.log_std.detach().clamp(low, high)?)
     }
-}
-
-/// Evaluates layers as [`PackedMlp`](crate::network::PackedMlp) does.
-pub fn forward(layers: &[Linear], observations: &Tensor) -> Result<Tensor> {
-    let mut x = observations.clone();
-    for (i, layer) in layers.iter().enumerate() {
-        x = layer.forward(&x)?;
-        if i + 1 < layers.len() {
-            x = x.elu(1.0)?;
-        }
-    }
-    Ok(x)
 }
 
 /// Converts plain numbers to tensors, in the order of [`ActorCritic::tensors`].
