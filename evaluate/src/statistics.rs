@@ -11,7 +11,7 @@ enough out, and all pairs have the same sign too often by chance: there is no in
 use std::collections::BTreeMap;
 
 use rand::RngExt;
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
 
 use supple::util::random::{Purpose, stream};
@@ -58,7 +58,7 @@ impl Spread {
 }
 
 /// An estimated number and its 95 % interval.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct IntervalEstimate {
     /// The value over all pairs of seeds.
     pub value: f64,

@@ -147,26 +147,6 @@ fn examination_grades_a_policy_beside_the_references() {
 }
 
 #[test]
-fn claims_stand_beside_those_of_an_equal_report() {
-    let folder = folder_with_pair(standing_policy(), standing_policy());
-    let folder = folder.path();
-    evaluate(folder, &["decay", "--out", "there"]);
-    evaluate(folder, &["decay", "leash", "--out", "here", "--beside", "There=there"]);
-    let table = std::fs::read_to_string(folder.join("here/tables/beside.md")).unwrap();
-    let row = |experiment: &str| -> Vec<&str> {
-        let line = table.lines().find(|line| line.contains(experiment)).unwrap();
-        line.split('|').map(str::trim).collect()
-    };
-    let [decay, leash] = ["E2", "E5"].map(row);
-    assert!(table.contains("| There |"));
-    assert_eq!(decay[3], decay[4]);
-    assert_ne!(leash[3], leash[4]);
-    assert_eq!(leash[4], "–");
-
-    refuses(folder, &["decay", "--out", "here", "--beside", "There=nowhere"], "nowhere/summary.json");
-}
-
-#[test]
 fn equal_evaluations_give_equal_summaries() {
     let folder = folder_with(&[
         ("compliant-seed0.safetensors", standing_policy()),

@@ -1,6 +1,6 @@
 //! Tables as Markdown, and the document of all claims.
 
-use super::{Report, TOO_FEW, duration, other_reports};
+use super::{Report, TOO_FEW, duration};
 use crate::policy_sets::{PolicySet, SetMember, Training, millions};
 use crate::section_content::{Claim, NOTHING, Row, Table, difference, percent, spread};
 use crate::statistics::Verdict;
@@ -109,11 +109,6 @@ pub fn claims(report: &Report) -> String {
     few + &grid((columns, rows))
 }
 
-/// Returns the table of the claims here and in other reports.
-pub fn other_reports_table(report: &Report) -> String {
-    grid(other_reports::table(report))
-}
-
 /// Returns the document of all claims (`research/results.md`), whose figures are in `images/`.
 pub fn document(report: &Report) -> String {
     let list = |notes: &[String]| notes.iter().map(|note| format!("- {note}\n")).collect::<String>();
@@ -141,14 +136,6 @@ pub fn document(report: &Report) -> String {
     }
     if !notes.is_empty() {
         text.push_str(&format!("\n{notes}"));
-    }
-    if !report.other_reports.is_empty() {
-        text.push_str(&format!(
-            "\n## {}\n\n{}\n\n{}",
-            other_reports::TITLE,
-            other_reports::CAPTION,
-            other_reports_table(report)
-        ));
     }
     for figure in report.figures_of_document() {
         text.push_str(&format!("\n![{0}](images/{0}.png)\n\n{1}\n", figure.name, figure.caption));

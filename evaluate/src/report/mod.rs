@@ -7,7 +7,6 @@ have six digits. Durations and the command are in the page only.
 mod csv_tables;
 pub(crate) mod html;
 mod markdown;
-pub mod other_reports;
 pub mod summary;
 pub mod text;
 
@@ -16,7 +15,6 @@ use std::fs;
 use std::io;
 use std::path::Path;
 
-use self::other_reports::OtherReport;
 use super::plot::png::{RenderError, Renderer};
 use super::policy_sets::PolicySets;
 use super::results::EndCounts;
@@ -134,8 +132,6 @@ pub struct Report<'a> {
     pub missing: Vec<ExperimentInfo>,
     /// E12: the experiments that were also run with estimated sensing.
     pub sensing: SensingComparison,
-    /// Other reports whose claims are shown beside these.
-    pub other_reports: Vec<OtherReport>,
     /// Learning curves of the sets that are runs.
     pub curves: Vec<Figure>,
 }
@@ -155,7 +151,6 @@ impl<'a> Report<'a> {
             sections: Vec::new(),
             missing: Vec::new(),
             sensing: SensingComparison::new(policies),
-            other_reports: Vec::new(),
             curves: Vec::new(),
         }
     }
@@ -222,9 +217,6 @@ impl<'a> Report<'a> {
         }
         write(&tables.join("claims.csv"), csv_tables::claims_csv(self).as_bytes())?;
         write(&tables.join("claims.md"), markdown::claims(self).as_bytes())?;
-        if !self.other_reports.is_empty() {
-            write(&tables.join("beside.md"), markdown::other_reports_table(self).as_bytes())?;
-        }
         write(&out.join("summary.json"), summary::json(self).as_bytes())?;
         write(&out.join("report.html"), html::page(self).as_bytes())?;
         Ok(failed)

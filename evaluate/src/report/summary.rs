@@ -107,7 +107,7 @@ fn comparison(names: &[String], comparison: &Comparison, quantity: Quantity) -> 
 }
 
 /// Rounds all numbers of a value to six significant digits.
-pub fn rounded(value: Value) -> Value {
+fn rounded(value: Value) -> Value {
     match value {
         Value::Number(number) if number.is_f64() => {
             let number = number.as_f64().unwrap_or(0.0);

@@ -36,7 +36,7 @@ pub struct Args {
     pub names: Vec<String>,
     /// Examine one policy beside the shipped references instead: eight disciplines, some minutes, one page (exam.html, exam.png)
     #[arg(long, value_name = "PATH", conflicts_with_all = [
-        "experiments", "policies", "a", "b", "names", "also", "beside", "quick", "joints", "sensing", "results",
+        "experiments", "policies", "a", "b", "names", "also", "quick", "joints", "sensing", "results",
     ])]
     pub exam: Option<PathBuf>,
     /// Draw the learning curves of runs instead, such as runs/fast for all its seeds, into the folder --out
@@ -45,9 +45,6 @@ pub struct Args {
     /// Name and path of a further set, shown beside the two that are compared; may be repeated
     #[arg(long, value_name = "NAME=PATH[@C]", value_parser = name_and_path)]
     pub also: Vec<(String, PathBuf)>,
-    /// Name and folder of another report, whose claims are shown beside these; may be repeated
-    #[arg(long, value_name = "NAME=DIR", value_parser = name_and_path)]
-    pub beside: Vec<(String, PathBuf)>,
     /// Folder of the report
     #[arg(long, value_name = "DIR", default_value = "report")]
     pub out: PathBuf,
@@ -103,13 +100,10 @@ impl Args {
             _ => self.folder().iter().map(|folder| ("--policies", path(folder))).collect(),
         };
         let names = (!self.names.is_empty()).then(|| ("--names", shell_word(self.names.join(","))));
-        let named = |flag| {
-            move |(name, path): &(String, PathBuf)| {
-                (flag, shell_word([OsStr::new(name), path.as_os_str()].join(OsStr::new("="))))
-            }
+        let named = |(name, path): &(String, PathBuf)| {
+            ("--also", shell_word([OsStr::new(name), path.as_os_str()].join(OsStr::new("="))))
         };
-        let also = self.also.iter().map(named("--also"));
-        let beside = self.beside.iter().map(named("--beside"));
+        let also = self.also.iter().map(named);
         let protocol = self.protocol.iter().map(|file| ("--protocol", path(file)));
         let joints = self
             .joints
@@ -118,8 +112,7 @@ impl Args {
         let sensing = (self.sensing == Sensing::Estimated).then(|| ("--sensing", "estimated".to_owned()));
         let results = self.results.iter().map(|file| ("--results", path(file)));
         let quick = self.quick.then(|| "--quick".to_owned());
-        let pairs =
-            sets.into_iter().chain(names).chain(also).chain(protocol).chain(joints).chain(sensing).chain(beside);
+        let pairs = sets.into_iter().chain(names).chain(also).chain(protocol).chain(joints).chain(sensing);
         let pairs = pairs.chain([("--out", path(&self.out))]).chain(results);
         let words = pairs.flat_map(|(key, value)| [key.to_owned(), value]);
         quick.into_iter().chain(words).collect()
@@ -173,8 +166,8 @@ mod tests {
             "--quick --a x --b \"it's\" --names 'A set,B' --sensing estimated --out report"
         );
         assert_eq!(
-            options(&["--policies", "p", "--also", "mine=a b.yaml", "--also", "other=runs/3", "--beside", "Go2=go2"]),
-            "--policies p --also 'mine=a b.yaml' --also 'other=runs/3' --beside 'Go2=go2' --out report"
+            options(&["--policies", "p", "--also", "mine=a b.yaml", "--also", "other=runs/3"]),
+            "--policies p --also 'mine=a b.yaml' --also 'other=runs/3' --out report"
         );
     }
 }

@@ -19,7 +19,6 @@ use supple_evaluate::measurement_store::MeasurementStore;
 use supple_evaluate::plot::png::Renderer;
 use supple_evaluate::policy_sets::PolicySets;
 use supple_evaluate::protocol::Protocol;
-use supple_evaluate::report::other_reports::OtherReport;
 use supple_evaluate::report::{CommandLine, Report, text};
 use supple_evaluate::runner::{self, Settings};
 use supple_evaluate::study::Study;
@@ -48,11 +47,9 @@ fn run(args: &Args) -> anyhow::Result<()> {
     let policies = policies(args, &args.also)?;
     // E12 is about the two sets that are compared.
     let compared = self::policies(args, &[])?;
-    let other_reports =
-        args.beside.iter().map(|(name, folder)| OtherReport::read(name, folder)).collect::<Result<Vec<_>, _>>()?;
     let command = CommandLine { experiments: args.experiments.clone(), options: args.options() };
     let curves = learning_curves::figures(&policies)?;
-    let mut report = Report { other_reports, curves, ..Report::new(&policies, name, command) };
+    let mut report = Report { curves, ..Report::new(&policies, name, command) };
     let on_sensors = report.sensing.notes.iter().filter(|_| args.sensing == Sensing::Estimated);
     policies.notes.iter().chain(on_sensors).for_each(|note| terminal::note(format_args!("note: {note}")));
     prepare(args)?;
@@ -150,8 +147,7 @@ fn policies(args: &Args, also: &[(String, PathBuf)]) -> anyhow::Result<PolicySet
     let are_names = first != second && !first.is_empty() && !second.is_empty();
     anyhow::ensure!(are_names, "the sets are named {names:?}, expected two different names: give --names A,B");
     let further = args.also.iter().map(|(name, _)| ("--also", name));
-    let beside = args.beside.iter().map(|(name, _)| ("--beside", name));
-    for (flag, name) in names.iter().map(|name| ("--names", name)).chain(further).chain(beside) {
+    for (flag, name) in names.iter().map(|name| ("--names", name)).chain(further) {
         anyhow::ensure!(
             name.chars().count() <= MOST_NAME && !name.contains(char::is_control),
             "{flag}: the name {name:?} has {} characters, expected at most {MOST_NAME}, and no line end or other control \
