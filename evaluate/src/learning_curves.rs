@@ -12,6 +12,7 @@ use supple::train::run::{METRICS, metrics};
 use supple::util::files::FileError;
 
 use crate::plot::axes::{Panel, draw_legend, range_from_zero};
+use crate::plot::curves;
 use crate::plot::svg::Svg;
 use crate::plot::{BAND, WIDTH, colour, line};
 use crate::policy_sets::{PolicySet, PolicySets};
@@ -86,13 +87,11 @@ impl LearningSet {
     fn curve(&self, over: Over, width: f64, quantity: Quantity) -> Vec<[f64; 4]> {
         let mean = |run: &Vec<IterationMetrics>, window: usize| {
             let is_in = |it: &&IterationMetrics| (over.at(it) / width).ceil() as usize == window + 1;
-            let values: Vec<f64> = run.iter().filter(is_in).filter_map(quantity.1).collect();
-            (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+            crate::statistics::mean(run.iter().filter(is_in).filter_map(quantity.1))
         };
         let point = |window: usize| {
             let values: Vec<f64> = self.runs.iter().map(|run| mean(run, window)).collect::<Option<_>>()?;
-            let [least, largest] = crate::plot::axes::range(values.iter().copied());
-            Some([(window as f64 + 0.5) * width, values.iter().sum::<f64>() / values.len() as f64, least, largest])
+            curves::point((window as f64 + 0.5) * width, &values)
         };
         (0..WINDOWS).filter_map(point).collect()
     }

@@ -57,6 +57,20 @@ pub struct ExperimentInfo {
     pub trials: u32,
 }
 
+impl ExperimentInfo {
+    /// Creates the description of an experiment that the paper does not have, without its method.
+    pub const fn new(
+        id: &'static str,
+        number: u32,
+        name: &'static str,
+        title: &'static str,
+        quantities: &'static [Quantity],
+        trials: u32,
+    ) -> Self {
+        ExperimentInfo { id, number, name, title, paper: "", method: "", quantities, trials }
+    }
+}
+
 /// A quantity that an experiment measures in each trial; a trial may leave it undefined.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Quantity {

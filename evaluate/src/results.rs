@@ -126,6 +126,13 @@ impl Results {
         common.first().filter(|seed| self.sets[set].contains_key(seed)).or(self.sets[set].keys().next()).copied()
     }
 
+    /// Returns the title of figures that show the policy of the shown seed of a set, and its samples.
+    pub fn shown(&self, set: usize) -> (String, Option<&PolicyResult>) {
+        let seed = self.shown_seed(set);
+        let words = seed.map_or("–".into(), |seed| seed.to_string());
+        (format!("{}, seed {words}", self.names[set]), seed.and_then(|seed| self.sets[set].get(&seed)))
+    }
+
     /// Describes the faults in the trials of a set: how many there were, and which was the first; `None` if there were none.
     pub fn faults(&self, set: usize) -> Option<String> {
         let name = &self.names[set];

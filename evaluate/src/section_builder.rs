@@ -17,13 +17,9 @@ pub struct ConditionGroup {
 }
 
 impl ConditionGroup {
-    /// Splits all conditions, in their order, into groups of equal size with these names.
-    pub fn from_names(names: impl ExactSizeIterator<Item = String>, results: &Results) -> Vec<ConditionGroup> {
-        let size = results.conditions.len() / names.len().max(1);
-        names
-            .enumerate()
-            .map(|(k, name)| ConditionGroup { name, conditions: (k * size..(k + 1) * size).collect() })
-            .collect()
+    /// Creates a group.
+    pub fn new(name: impl Into<String>, conditions: impl IntoIterator<Item = usize>) -> Self {
+        ConditionGroup { name: name.into(), conditions: conditions.into_iter().collect() }
     }
 }
 
@@ -53,9 +49,17 @@ impl<'a> SectionBuilder<'a> {
         (0..self.results.conditions.len()).collect()
     }
 
-    /// Returns the label of each condition.
-    pub fn labels(&self) -> Vec<String> {
-        self.results.conditions.iter().map(|condition| condition.label.clone()).collect()
+    /// Splits all conditions, in their order, into groups of equal size, one for each value and with its name.
+    pub fn groups(&self, values: &[f64], name: impl Fn(f64) -> String) -> Vec<ConditionGroup> {
+        let size = self.results.conditions.len() / values.len().max(1);
+        let group = |(k, value): (usize, &f64)| ConditionGroup::new(name(*value), k * size..(k + 1) * size);
+        values.iter().enumerate().map(group).collect()
+    }
+
+    /// Returns each condition as a group.
+    pub fn each(&self) -> Vec<ConditionGroup> {
+        let conditions = self.results.conditions.iter().enumerate();
+        conditions.map(|(index, condition)| ConditionGroup::new(&condition.label, [index])).collect()
     }
 
     /// Returns the label of the first condition.
@@ -72,12 +76,12 @@ impl<'a> SectionBuilder<'a> {
 
     /// Adds a table of all quantities in all conditions to the page.
     pub fn table(&mut self, caption: &str) -> &mut Table {
-        self.add_table("", caption, self.all_rows(), true)
+        self.add_table("", caption, self.rows(&self.each()), true)
     }
 
     /// Adds a table of all quantities in all conditions, as a file only.
     pub fn table_in_file(&mut self, part: &str, caption: &str) {
-        self.add_table(part, caption, self.all_rows(), false);
+        self.add_table(part, caption, self.rows(&self.each()), false);
     }
 
     /// Adds a table of these rows to the page.
@@ -90,11 +94,6 @@ impl<'a> SectionBuilder<'a> {
         let (name, index) = (self.named(part), self.content.tables.len());
         self.content.tables.push(Table { name, caption: caption.to_owned(), rows, in_page });
         &mut self.content.tables[index]
-    }
-
-    /// Returns a row for each quantity in each condition.
-    fn all_rows(&self) -> Vec<Row> {
-        self.rows(&ConditionGroup::from_names(self.labels().into_iter(), self.results))
     }
 
     /// Returns a row for each group and quantity: the mean over the group.
@@ -116,8 +115,7 @@ impl<'a> SectionBuilder<'a> {
 
     /// Adds a figure of quantities by condition, with a panel for each quantity.
     pub fn dots(&mut self, part: &str, title: &str, quantities: &[&str], more: &str) {
-        let conditions = ConditionGroup::from_names(self.labels().into_iter(), self.results);
-        self.grouped_dots(part, title, &conditions, quantities, more);
+        self.grouped_dots(part, title, &self.each(), quantities, more);
     }
 
     /// Adds a figure of quantities by group of conditions, with a panel for each quantity.

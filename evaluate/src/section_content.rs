@@ -41,6 +41,12 @@ impl Claim {
         let verdict = Verdict::new(&comparison, expected);
         Claim { text: text.to_owned(), paper: paper.to_owned(), quantity, comparison, verdict }
     }
+
+    /// Creates a claim that the numbers of both sets are below a bound.
+    pub fn below(bound: f64, text: String, paper: &str, quantity: Quantity, comparison: Comparison) -> Self {
+        let verdict = Verdict::from_bound(bound, &comparison);
+        Claim { text, paper: paper.to_owned(), quantity, comparison, verdict }
+    }
 }
 
 /// A row of a table.

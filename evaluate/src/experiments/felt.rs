@@ -2,12 +2,11 @@
 
 use super::prelude::*;
 use crate::plot::curves::{self, Curve};
-use crate::plot::polar::{Scales, evenly};
 use crate::section_content::{Claim, number};
 use crate::sensing;
-use crate::statistics::{Spread, Verdict, mean};
+use crate::statistics::{Spread, mean};
 use supple::scenario::Script;
-use supple::scenario::catalog::{BallPit, Leash, Pendulum, Pulley, PushTrunk, Rubble, TerrainKind, UnevenGround, Walk};
+use supple::scenario::catalog::{Leash, Pendulum, Pulley, PushTrunk, TerrainKind, UnevenGround, Walk};
 use supple::scenario::trace::{Felt as FeltForces, Frame};
 
 /// The error of the felt force while something pulls.
@@ -119,14 +118,18 @@ struct Group {
 }
 
 impl Group {
-    /// Creates a group from the labels within it, and scenarios.
-    fn new(name: impl Into<String>, role: Role, scenarios: impl IntoIterator<Item = (String, Scenario)>) -> Self {
+    /// Creates a group with a condition for each value; `of` gives it the label within the group, and the scenario.
+    fn new<T>(
+        name: impl Into<String>,
+        role: Role,
+        values: impl IntoIterator<Item = T>,
+        of: impl Fn(T) -> (String, Scenario),
+    ) -> Self {
         let name = name.into();
-        let condition = |(label, scenario): (String, Scenario)| {
-            let label = if label.is_empty() { name.clone() } else { format!("{name}, {label}") };
-            Condition { label, scenario }
-        };
-        let conditions = scenarios.into_iter().map(condition).collect();
+        let conditions = conditions(values, |value| {
+            let (label, scenario) = of(value);
+            (if label.is_empty() { name.clone() } else { format!("{name}, {label}") }, scenario)
+        });
         Group { name, role, conditions }
     }
 }
@@ -139,88 +142,86 @@ fn speed(command_m_s: f64) -> String {
 impl Felt {
     /// Returns the conditions by group, in their order.
     fn groups(&self) -> Result<Vec<Group>, ConfigError> {
-        let leash: Leash = defaults("leash")?;
+        let (leash, walk, terrain): (Leash, Walk, UnevenGround) =
+            (defaults("leash")?, defaults("walk")?, defaults("terrain")?);
+        let (push, pulley, pendulum): (PushTrunk, Pulley, Pendulum) =
+            (defaults("push")?, defaults("pulley")?, defaults("pendulum")?);
+        let (at_s, for_s) = (self.at_s, self.for_s);
         let pull = |forward_m_s: f64, force_n: f64, direction_deg: f64, extra_mass_kg: f64| {
-            let duration_s = self.at_s + self.for_s;
-            let task = Task { forward_m_s, duration_s, extra_mass_kg, ..leash.task.clone() };
-            Scenario::Leash(Leash { task, force_n, direction_deg, at_s: self.at_s, for_s: self.for_s })
+            let task = Task { forward_m_s, duration_s: at_s + for_s, extra_mass_kg, ..leash.task.clone() };
+            Scenario::Leash(Leash { task, force_n, direction_deg, at_s, for_s })
         };
-        let walk: Walk = defaults("walk")?;
         let undisturbed = |[forward_m_s, left_m_s, yaw_rad_s]: [f64; 3], extra_mass_kg: f64| {
             Scenario::Walk(Walk { task: Task { forward_m_s, left_m_s, yaw_rad_s, extra_mass_kg, ..walk.task.clone() } })
         };
-        let (push, pulley, pendulum): (PushTrunk, Pulley, Pendulum) =
-            (defaults("push")?, defaults("pulley")?, defaults("pendulum")?);
         let gaits = [0.0, 0.5];
-        let by_side = |scenario: &dyn Fn(f64, f64) -> Scenario| {
-            let each = gaits.iter().flat_map(|command| self.sides_deg.iter().map(move |side| (*command, *side)));
-            each.map(|(command, side)| (format!("{}, {side:.0}°", gait(command)), scenario(command, side)))
-                .collect::<Vec<_>>()
-        };
+        let by_side = pairs(&gaits, &self.sides_deg);
+        let side_label = |(command, side): (f64, f64)| format!("{}, {side:.0}°", gait(command));
         let mut groups = Vec::new();
         for command in &self.commands_m_s {
-            let each = self.forces_n.iter().flat_map(|force| evenly(self.directions).map(move |side| (*force, side)));
-            let pulls = each.map(|(force, side)| (format!("{force} N, {side:.0}°"), pull(*command, force, side, 0.0)));
-            groups.push(Group::new(format!("pulled, {}", speed(*command)), Role::Steady, pulls));
+            let each = pairs(&self.forces_n, &evenly(self.directions));
+            groups.push(Group::new(format!("pulled, {}", speed(*command)), Role::Steady, each, |(force, side)| {
+                (format!("{force} N, {side:.0}°"), pull(*command, force, side, 0.0))
+            }));
         }
-        let pushed = |forward_m_s: f64, direction_deg: f64| {
+        groups.push(Group::new("pushed", Role::Pulled, by_side.clone(), |(forward_m_s, direction_deg)| {
             // The seed delays a push by up to 0.65 s.
-            let duration_s = self.at_s + metrics::PHASE_S + BLOW_S + 0.1;
+            let duration_s = at_s + metrics::PHASE_S + BLOW_S + 0.1;
             let task = Task { forward_m_s, duration_s, ..push.task.clone() };
-            Scenario::Push(PushTrunk { task, direction_deg, at_s: self.at_s, ..push.clone() })
-        };
-        groups.push(Group::new("pushed", Role::Pulled, by_side(&pushed)));
-        let by_weight = |forward_m_s: f64, direction_deg: f64| {
+            let scenario = Scenario::Push(PushTrunk { task, direction_deg, at_s, ..push });
+            (side_label((forward_m_s, direction_deg)), scenario)
+        }));
+        groups.push(Group::new("pulled by a weight", Role::Pulled, by_side.clone(), |(forward_m_s, direction_deg)| {
             let task = Task { forward_m_s, duration_s: pulley.at_s + pulley.for_s, ..pulley.task.clone() };
-            Scenario::Pulley(Pulley { task, direction_deg, ..pulley.clone() })
-        };
-        groups.push(Group::new("pulled by a weight", Role::Pulled, by_side(&by_weight)));
-        let heights = gaits.iter().flat_map(|command| self.heights_m.iter().map(move |height| (*command, *height)));
-        let blows = heights.map(|(forward_m_s, release_height_m)| {
+            let scenario = Scenario::Pulley(Pulley { task, direction_deg, ..pulley.clone() });
+            (side_label((forward_m_s, direction_deg)), scenario)
+        }));
+        let heights = pairs(&gaits, &self.heights_m);
+        groups.push(Group::new("hit by a ball", Role::Pulled, heights, |(forward_m_s, release_height_m)| {
             let task = Task { forward_m_s, duration_s: pendulum.at_s + 3.0, ..pendulum.task.clone() };
             let label = format!("{}, {:.0} cm", gait(forward_m_s), 100.0 * release_height_m);
             (label, Scenario::Pendulum(Pendulum { task, release_height_m, ..pendulum.clone() }))
-        });
-        groups.push(Group::new("hit by a ball", Role::Pulled, blows));
-        let walks = self.walks.iter().map(|command| (super::walk::label(*command), undisturbed(*command, 0.0)));
-        groups.push(Group::new("undisturbed", Role::Calm, walks));
-        let terrain: UnevenGround = defaults("terrain")?;
-        let slope = |incline: &f64| {
-            let label = format!("{:+.0} %", 100.0 * incline).replace('-', "−");
-            (label, Scenario::Terrain(UnevenGround { kind: TerrainKind::Slope, incline: *incline, ..terrain.clone() }))
-        };
-        groups.push(Group::new("slopes", Role::Other, self.inclines.iter().map(slope)));
-        let one = |scenario: Scenario| [(String::new(), scenario)];
-        groups.push(Group::new("ball pit", Role::Rough, one(Scenario::BallPit(defaults::<BallPit>("ball-pit")?))));
-        groups.push(Group::new("rubble", Role::Rough, one(Scenario::Rubble(defaults::<Rubble>("rubble")?))));
+        }));
+        groups.push(Group::new("undisturbed", Role::Calm, &self.walks, |command| {
+            (super::walk::label(*command), undisturbed(*command, 0.0))
+        }));
+        groups.push(Group::new("slopes", Role::Other, &self.inclines, |incline| {
+            let slope = UnevenGround { kind: TerrainKind::Slope, incline: *incline, ..terrain.clone() };
+            (format!("{:+.0} %", 100.0 * incline).replace('-', "−"), Scenario::Terrain(slope))
+        }));
         let uneven = UnevenGround { height_m: self.terrain_m, frequency_per_m: 2.0, ..terrain.clone() };
-        let name = format!("ground of {:.0} cm", 100.0 * self.terrain_m);
-        groups.push(Group::new(name, Role::Rough, one(Scenario::Terrain(uneven))));
+        for (name, scenario) in [
+            ("ball pit".to_owned(), Scenario::BallPit(defaults("ball-pit")?)),
+            ("rubble".to_owned(), Scenario::Rubble(defaults("rubble")?)),
+            (format!("ground of {:.0} cm", 100.0 * self.terrain_m), Scenario::Terrain(uneven)),
+        ] {
+            groups.push(Group::new(name, Role::Rough, [scenario], |scenario| (String::new(), scenario)));
+        }
         for mass in &self.extra_masses_kg {
             let name = format!("{mass:+} kg on the trunk").replace('-', "−");
-            let pulls = gaits.iter().flat_map(|command| self.sides_deg.iter().map(move |side| (*command, *side)));
-            let pulls = pulls.map(|(command, side)| {
+            groups.push(Group::new(format!("{name}, pulled"), Role::Pulled, by_side.clone(), |(command, side)| {
                 (format!("{}, 20 N, {side:.0}°", gait(command)), pull(command, 20.0, side, *mass))
-            });
-            groups.push(Group::new(format!("{name}, pulled"), Role::Pulled, pulls));
-            let walks = gaits.map(|forward| (gait(forward).to_owned(), undisturbed([forward, 0.0, 0.0], *mass)));
-            groups.push(Group::new(format!("{name}, undisturbed"), Role::Other, walks));
+            }));
+            groups.push(Group::new(format!("{name}, undisturbed"), Role::Other, gaits, |forward| {
+                (gait(forward).to_owned(), undisturbed([forward, 0.0, 0.0], *mass))
+            }));
         }
         Ok(groups)
     }
 }
 
-/// Returns the time in which something pulls the robot of a trial \[s\]; none if nothing does.
-fn pulled_s(trial: &Trial) -> Option<[f64; 2]> {
-    match trial.scenario {
+/// Returns true if something pulls the robot of a trial, and the time over which forces count \[s\]: that of the pull, if it came.
+fn window_s(trial: &Trial) -> (bool, Option<[f64; 2]>) {
+    let pulled_s = match trial.scenario {
         Scenario::Leash(leash) => Some([leash.at_s + STEADY_S, leash.at_s + leash.for_s]),
         Scenario::Pulley(pulley) => Some([pulley.at_s + STEADY_S, pulley.at_s + pulley.for_s]),
         Scenario::Push(_) => trial.script.pushes().next().map(|push| [push.at_s, push.at_s + BLOW_S]),
         Scenario::Pendulum(pendulum) => {
             pendulum.impact(trial.trace).map(|impact| [impact.time_s, impact.time_s + BLOW_S])
         }
-        _ => None,
-    }
+        _ => return (false, Some([metrics::SETTLE_S, trial.script.duration_s])),
+    };
+    (true, pulled_s)
 }
 
 /// Returns the forces that can be trusted, and the fraction of those that cannot, over a time that ends half a second before
@@ -270,19 +271,13 @@ fn while_not_pulled(forces: &[FeltForces]) -> [Option<f64>; 9] {
 impl Experiment for Felt {
     fn info(&self) -> ExperimentInfo {
         ExperimentInfo {
-            id: "E15",
-            number: 18,
-            name: "felt",
-            title: "What the robot feels",
-            paper: "",
             method: "The robot feels the force on its trunk from joints, motors and IMU. Felt and true force, both in the \
                      heading frame and low-passed over 0.1 s, are compared in the horizontal plane: while a pull is \
                      steady (from half a second after its start), and for a second after a push or blow. Where nothing \
                      pulls (from 2 s on), all that is felt beyond the true contact force on the trunk is an error. Frames \
                      that the observer marks as doubtful are counted and left out, and so is the last half second \
                      before a fall.",
-            quantities: QUANTITIES,
-            trials: self.trials,
+            ..ExperimentInfo::new("E15", 18, "felt", "What the robot feels", QUANTITIES, self.trials)
         }
     }
 
@@ -304,12 +299,7 @@ impl Experiment for Felt {
     }
 
     fn measure(&self, trial: &Trial) -> TrialValues {
-        let is_pulled = matches!(
-            trial.scenario,
-            Scenario::Leash(_) | Scenario::Pulley(_) | Scenario::Push(_) | Scenario::Pendulum(_)
-        );
-        let calm_s = (!is_pulled).then_some([metrics::SETTLE_S, trial.script.duration_s]);
-        let window_s = pulled_s(trial).or(calm_s);
+        let (is_pulled, window_s) = window_s(trial);
         let (forces, in_doubt) = window_s.map_or((Vec::new(), None), |window_s| forces(trial, window_s));
         let [pulled, calm] = if is_pulled { [&forces[..], &[]] } else { [&[], &forces[..]] };
         let mut values = Vec::from(while_pulled(pulled));
@@ -321,13 +311,11 @@ impl Experiment for Felt {
     fn report(&self, section: &mut SectionBuilder) {
         let Ok(groups) = self.groups() else { return };
         let results = section.results;
-        let mut first = 0;
-        let mut located = Vec::new();
-        for Group { name, role, conditions } in groups {
-            let conditions: Vec<usize> = (first..first + conditions.len()).collect();
-            first += conditions.len();
-            located.push((role, ConditionGroup { name, conditions }));
-        }
+        let mut indices = 0..;
+        let located = groups.into_iter().map(|Group { name, role, conditions }| {
+            (role, ConditionGroup::new(name, indices.by_ref().take(conditions.len())))
+        });
+        let located: Vec<(Role, ConditionGroup)> = located.collect();
         let over = |roles: &[Role]| -> Vec<usize> {
             let chosen = located.iter().filter(|(role, _)| roles.contains(role));
             chosen.flat_map(|(_, group)| group.conditions.iter().copied()).collect()
@@ -353,9 +341,8 @@ impl Experiment for Felt {
                 let (label, found) = (quantity.label, number(found.mean, quantity));
                 section.notes([format!("{place}, on sensors: {label} {found} N; aim: < {on_sensors} N.")]);
             }
-            let verdict = Verdict::from_bound(bound, &comparison);
             let text = format!("{place}, {text} below {bound} N");
-            section.content.claims.push(Claim { text, paper: String::new(), quantity, comparison, verdict });
+            section.content.claims.push(Claim::below(bound, text, "", quantity, comparison));
         }
         let rows = located.iter().flat_map(|(role, group)| {
             let of = if is_pulled(*role) { 0..OF_PULLS } else { OF_PULLS..OF_PULLS + 3 };
@@ -379,9 +366,7 @@ impl Experiment for Felt {
                 };
                 let felt = |condition| Spread::from_values(&results.per_seed(set, condition, "felt_n"));
                 let means: Vec<f64> = steady.iter().filter(is_it).filter_map(|it| Some(felt(*it)?.mean)).collect();
-                let least = means.iter().copied().reduce(f64::min)?;
-                let largest = means.iter().copied().reduce(f64::max)?;
-                Some([*force, mean(means.into_iter())?, least, largest])
+                curves::point(*force, &means)
             };
             let points = self.forces_n.iter().filter_map(point).collect();
             let if_empty = "no steady pull without a fall";
@@ -398,8 +383,7 @@ impl Experiment for Felt {
         let by_gait = [0.0, 1.0].map(|command| {
             let is_it =
                 |condition: &usize| gait(results.conditions[*condition].scenario.task().forward_m_s) == gait(command);
-            let conditions = steady.iter().copied().filter(is_it).collect();
-            ConditionGroup { name: gait(command).to_owned(), conditions }
+            ConditionGroup::new(gait(command), steady.iter().copied().filter(is_it))
         });
         section.polar(
             "directions",

@@ -55,12 +55,9 @@ impl FreeBox {
 
     /// Returns the runs of a set at the first friction, for the figure.
     fn view(&self, results: &Results, set: usize) -> View {
-        let seed = results.shown_seed(set);
-        let samples = seed.and_then(|seed| results.sets[set].get(&seed)?.first());
-        View {
-            title: format!("{}, seed {}", results.names[set], seed.map_or("–".into(), |seed| seed.to_string())),
-            runs: samples.map_or(Vec::new(), |samples| samples.iter().filter_map(run).collect()),
-        }
+        let (title, policy) = results.shown(set);
+        let samples = policy.and_then(|policy| policy.first()).into_iter().flatten();
+        View { title, runs: samples.filter_map(run).collect() }
     }
 }
 
@@ -101,10 +98,6 @@ fn paths_and_boxes(views: &[View]) -> [Lines; 2] {
 impl Experiment for FreeBox {
     fn info(&self) -> ExperimentInfo {
         ExperimentInfo {
-            id: "E6",
-            number: 6,
-            name: "box",
-            title: "Collision with a box",
             paper: "Fig. 6",
             method: "At 0.4 m/s the robot walks into a free cube of 2 kg and 0.5 m edge length, by its friction, \
                      which the paper does not state. The cube is offset sideways by an amount drawn for each trial. \
@@ -112,18 +105,16 @@ impl Experiment for FreeBox {
                      the time in contact. The robot has got past when it ends beyond the box's far side, and has \
                      resumed its course when it then walks at its command in the direction in which it started. \
                      Displacement and forces are of trials in which it met the box.",
-            quantities: QUANTITIES,
-            trials: self.trials,
+            ..ExperimentInfo::new("E6", 6, "box", "Collision with a box", QUANTITIES, self.trials)
         }
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let base: BoxScenario = defaults("box")?;
-        let condition = |friction: &f64| Condition {
-            label: format!("friction {}", brief(*friction)),
-            scenario: Scenario::Box(BoxScenario { friction: *friction, ..base.clone() }),
-        };
-        Ok(self.frictions.iter().map(condition).collect())
+        Ok(conditions(&self.frictions, |friction| {
+            let scenario = Scenario::Box(BoxScenario { friction: *friction, ..base.clone() });
+            (format!("friction {}", brief(*friction)), scenario)
+        }))
     }
 
     fn check(&self) -> Result<(), ParameterError> {
@@ -172,7 +163,6 @@ impl Experiment for FreeBox {
             &["box_displacement_m", "peak_contact_force_n", "mean_contact_force_n", "passed"],
             "",
         );
-        use Expected::{Higher, Lower};
         for (text, paper, quantity, expected) in [
             ("Compliant policies displace a box in their way less", "less", "box_displacement_m", Lower),
             ("Compliant policies push the box with a lower mean force", "milder", "mean_contact_force_n", Lower),
@@ -180,8 +170,8 @@ impl Experiment for FreeBox {
             ("Compliant policies get past the box more often", "past", "passed", Higher),
             ("Compliant policies resume their course past the box more often", "resume", "resumed", Higher),
         ] {
-            for (index, label) in section.labels().into_iter().enumerate() {
-                section.claim(&format!("{text} ({label})"), paper, quantity, expected, &[index]);
+            for ConditionGroup { name, conditions } in section.each() {
+                section.claim(&format!("{text} ({name})"), paper, quantity, expected, &conditions);
             }
         }
     }

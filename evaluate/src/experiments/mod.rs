@@ -25,16 +25,16 @@ pub mod wall;
 use serde::{Deserialize, Serialize};
 
 use super::{Condition, Experiment};
-use crate::plot::polar::evenly;
 use supple::scenario::catalog::{ParameterError, Scenario, in_range};
 
 /// The imports that every experiment needs.
 mod prelude {
     pub use serde::{Deserialize, Serialize};
 
-    pub(super) use super::{by_gait_and_direction, check_directions, gait, indicator};
+    pub(super) use super::{check_directions, conditions, gait, indicator, pairs};
+    pub use crate::plot::polar::{Scales, evenly};
     pub use crate::section_builder::{ConditionGroup, SectionBuilder};
-    pub use crate::statistics::Expected;
+    pub use crate::statistics::Expected::{Higher, Lower};
     pub use crate::trial::Trial;
     pub use crate::{Condition, Experiment, ExperimentInfo, FELL, Quantity, TrialValues};
     pub use supple::config::ConfigError;
@@ -89,18 +89,14 @@ fn gait(command_m_s: f64) -> &'static str {
     if command_m_s == 0.0 { "standing" } else { "walking" }
 }
 
-/// Returns a condition for each forward command \[m/s\] and each of `directions` directions \[deg\] that divide the circle evenly.
-fn by_gait_and_direction(
-    commands_m_s: &[f64],
-    directions: u32,
-    scenario: impl Fn(f64, f64) -> Scenario,
-) -> Vec<Condition> {
-    let all = commands_m_s.iter().flat_map(|command| evenly(directions).map(move |direction| (*command, direction)));
-    all.map(|(command, direction_deg)| Condition {
-        label: format!("{}, {direction_deg:.1}°", gait(command)),
-        scenario: scenario(command, direction_deg),
-    })
-    .collect()
+/// Returns a condition for each value, with the label and the scenario that `of` gives it.
+fn conditions<T>(values: impl IntoIterator<Item = T>, of: impl Fn(T) -> (String, Scenario)) -> Vec<Condition> {
+    values.into_iter().map(of).map(|(label, scenario)| Condition { label, scenario }).collect()
+}
+
+/// Returns every pair of a first and a second value; the second changes faster.
+fn pairs(first: &[f64], second: &[f64]) -> Vec<(f64, f64)> {
+    first.iter().flat_map(|a| second.iter().map(|b| (*a, *b))).collect()
 }
 
 /// Checks the number of directions: at least three, so that sides can be distinguished.

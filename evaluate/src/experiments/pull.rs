@@ -2,7 +2,6 @@
 
 use super::leash::pulls;
 use super::prelude::*;
-use crate::plot::polar::Scales;
 
 const SURVIVED: Quantity = Quantity::new("survived", "survived", "%", 0);
 const QUANTITIES: &[Quantity] = &[SURVIVED];
@@ -26,16 +25,10 @@ pub struct PullSurvival {
 impl Experiment for PullSurvival {
     fn info(&self) -> ExperimentInfo {
         ExperimentInfo {
-            id: "E14a",
-            number: 15,
-            name: "pull",
-            title: "Sustained pulls",
-            paper: "",
             method: "Walking at 0.5 m/s, the robot is pulled by a constant horizontal force on its trunk for some \
                      seconds, in directions all around; the force keeps its direction in the world. It survives if it \
                      has not fallen by the end of the pull.",
-            quantities: QUANTITIES,
-            trials: self.trials,
+            ..ExperimentInfo::new("E14a", 15, "pull", "Sustained pulls", QUANTITIES, self.trials)
         }
     }
 
@@ -53,11 +46,10 @@ impl Experiment for PullSurvival {
     }
 
     fn report(&self, section: &mut SectionBuilder) {
-        let names = self.forces_n.iter().map(|force| format!("{force} N"));
-        let forces = ConditionGroup::from_names(names, section.results);
+        let forces = section.groups(&self.forces_n, |force| format!("{force} N"));
         let text =
             format!("Pulled from any side for {} s, compliant policies stay on their feet more often", self.for_s);
-        section.claim(&text, "", SURVIVED.name, Expected::Higher, &section.all());
+        section.claim(&text, "", SURVIVED.name, Higher, &section.all());
         section.table_with_rows("Sustained pulls survived, by force: mean over all directions.", section.rows(&forces));
         section.table_in_file("all", "Sustained pulls survived, by force and direction.");
         section.grouped_dots(
@@ -67,7 +59,7 @@ impl Experiment for PullSurvival {
             &[SURVIVED.name],
             "",
         );
-        let all = ConditionGroup { name: String::new(), conditions: section.all() };
+        let all = ConditionGroup::new("", section.all());
         section.polar(
             "directions",
             "Sustained pulls survived while walking at 0.5 m/s, by the direction they pull to",

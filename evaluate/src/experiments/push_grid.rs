@@ -102,35 +102,24 @@ impl PushGrid {
 impl Experiment for PushGrid {
     fn info(&self) -> ExperimentInfo {
         ExperimentInfo {
-            id: "E1",
-            number: 1,
-            name: "push-grid",
-            title: "Push recovery",
             paper: "Fig. 2",
             method: "Walking at 0.5 m/s, the robot is pushed once: a velocity offset on a square grid of (forward, \
                      left) is added to its trunk. A trial succeeds if it has not fallen until some seconds after. The \
                      success rate is that over the trials of all seeds; the fraction counts grid points at or above \
                      the contour's level.",
-            quantities: QUANTITIES,
-            trials: self.trials,
+            ..ExperimentInfo::new("E1", 1, "push-grid", "Push recovery", QUANTITIES, self.trials)
         }
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let base: PushTrunk = defaults("push")?;
         let coordinates = square_grid::coordinates(self.limit_m_s, self.points_per_side);
-        let condition = |forward: f64, left: f64| Condition {
-            label: format!("{forward:+.3}, {left:+.3} m/s").replace('-', "−"),
-            scenario: Scenario::Push(PushTrunk {
-                push_m_s: forward.hypot(left),
-                direction_deg: left.atan2(forward).to_degrees(),
-                at_s: self.at_s,
-                task: Task { duration_s: self.at_s + PHASE_S + self.watch_s, ..base.task.clone() },
-                ..base
-            }),
-        };
-        let pushes = coordinates.iter();
-        Ok(pushes.flat_map(|forward| coordinates.iter().map(|left| condition(*forward, *left))).collect())
+        Ok(conditions(pairs(&coordinates, &coordinates), |(forward, left)| {
+            let task = Task { duration_s: self.at_s + PHASE_S + self.watch_s, ..base.task.clone() };
+            let (push_m_s, direction_deg) = (forward.hypot(left), left.atan2(forward).to_degrees());
+            let scenario = Scenario::Push(PushTrunk { push_m_s, direction_deg, at_s: self.at_s, task, ..base });
+            (format!("{forward:+.3}, {left:+.3} m/s").replace('-', "−"), scenario)
+        }))
     }
 
     fn check(&self) -> Result<(), ParameterError> {
@@ -190,6 +179,6 @@ impl Experiment for PushGrid {
         section.figure("", caption, svg);
         let text =
             format!("The {level:.0} % contour of push recovery encloses more of the grid for compliant policies");
-        section.content.claims.push(Claim::new(&text, "78 / 73 %", FRACTION, Expected::Higher, pooled));
+        section.content.claims.push(Claim::new(&text, "78 / 73 %", FRACTION, Higher, pooled));
     }
 }

@@ -43,17 +43,12 @@ pub struct Table4 {
 impl Experiment for Table4 {
     fn info(&self) -> ExperimentInfo {
         ExperimentInfo {
-            id: "E3",
-            number: 3,
-            name: "table4",
-            title: "Power and torque of a sideways push",
             paper: "Table IV",
             method: "The push of E2. Power is Σ|τ·q̇| over the twelve joints, torque is ‖τ‖₂, both at 240 Hz with the \
                      torque actually applied, averaged over as long before and after the push; the sum over the \
                      joints is Σ|τ|, at 60 Hz. The increase is the second minus the first: what the push adds to the \
                      walk. A time that a fall cuts short has no average.",
-            quantities: QUANTITIES,
-            trials: self.trials,
+            ..ExperimentInfo::new("E3", 3, "table4", "Power and torque of a sideways push", QUANTITIES, self.trials)
         }
     }
 
@@ -117,7 +112,7 @@ impl Experiment for Table4 {
                 "torque_sum_increase_n_m",
             ),
         ] {
-            section.claim(text, paper, quantity, Expected::Lower, &[0]);
+            section.claim(text, paper, quantity, Lower, &[0]);
         }
     }
 }

@@ -3,6 +3,7 @@
 use super::axes::{Panel, draw_mark, range, range_from_zero};
 use super::svg::{Anchor, Stroke, Svg, Text};
 use super::{BAND, GREY, INK, SMALL, WIDTH, colour};
+use crate::statistics::mean;
 
 /// The mean and the extremes of several runs, with the annotations of their panel.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -21,6 +22,12 @@ pub struct Curve {
     pub diagonal: bool,
     /// The reason that the panel shows if there are no points.
     pub if_empty: &'static str,
+}
+
+/// Returns the point of a curve (x, mean, least, largest) from the values at x; none if there are none.
+pub fn point(x: f64, values: &[f64]) -> Option<[f64; 4]> {
+    let [least, largest] = range(values.iter().copied());
+    Some([x, mean(values.iter().copied())?, least, largest])
 }
 
 /// The height of a row of panels \[px\].

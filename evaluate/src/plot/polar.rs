@@ -31,8 +31,8 @@ pub enum Scales {
 }
 
 /// Returns directions that divide the circle evenly, counter-clockwise from forward \[deg\].
-pub fn evenly(count: u32) -> impl Iterator<Item = f64> {
-    (0..count).map(move |k| 360.0 * f64::from(k) / f64::from(count))
+pub fn evenly(count: u32) -> Vec<f64> {
+    (0..count).map(|k| 360.0 * f64::from(k) / f64::from(count)).collect()
 }
 
 /// Draws panels side by side.
