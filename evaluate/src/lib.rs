@@ -9,20 +9,20 @@ Tables and figures show every set of policies; claims and differences compare th
 */
 
 pub mod exam;
-pub mod experiments;
+mod experiments;
 pub mod learning_curves;
 pub mod measurement_store;
-pub mod plot;
+mod plot;
 pub mod policy_sets;
 pub mod protocol;
 pub mod report;
-pub mod results;
+mod results;
 pub mod runner;
-pub mod section_builder;
-pub mod section_content;
-pub mod sensing;
-pub mod square_grid;
-pub mod statistics;
+mod section_builder;
+mod section_content;
+mod sensing;
+mod square_grid;
+mod statistics;
 pub mod study;
 pub mod trial;
 

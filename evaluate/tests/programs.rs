@@ -11,7 +11,7 @@ use serde_json::Value;
 use supple::config::{Config, Precision};
 use supple::policy::Policy;
 use supple::policy::compliance::{Point, PolicyCalibration};
-use supple_evaluate::experiments::Protocol;
+use supple_evaluate::protocol::Protocol;
 use support::{broken_policy, complaint, example, run, standing_policy, zero_policy};
 
 /// The smallest protocol that runs every experiment.

@@ -26,6 +26,16 @@ impl Panel {
         ]
     }
 
+    /// Returns a column of the points of a curve (x, mean, least, largest) in pixels.
+    pub fn path(&self, points: &[[f64; 4]], column: usize) -> Vec<[f64; 2]> {
+        points.iter().map(|point| self.at([point[0], point[column]])).collect()
+    }
+
+    /// Returns the outline between the least and the largest values of a curve, in pixels.
+    pub fn band(&self, points: &[[f64; 4]]) -> Vec<[f64; 2]> {
+        self.path(points, 3).into_iter().chain(self.path(points, 2).into_iter().rev()).collect()
+    }
+
     /// Draws frame, grid lines that reach a little out of it, and labels. Without `y_label` it omits the numbers along y, which a neighbour has.
     pub fn draw_axes(&self, svg: &mut Svg, x_label: &str, y_label: Option<&str>) {
         let [left, top] = self.corner;

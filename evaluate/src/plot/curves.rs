@@ -66,7 +66,6 @@ pub fn draw(title: &str, curves: &[Curve], x_label: &str, y_label: &str) -> Stri
 }
 
 fn draw_curve(svg: &mut Svg, panel: &Panel, curve: &Curve) {
-    let line = |column: usize| curve.points.iter().map(move |point| panel.at([point[0], point[column]]));
     if curve.points.is_empty() {
         let middle = [panel.corner[0] + 0.5 * panel.size[0], panel.corner[1] + 0.5 * panel.size[1]];
         // Without grid lines behind it.
@@ -74,8 +73,7 @@ fn draw_curve(svg: &mut Svg, panel: &Panel, curve: &Curve) {
         svg.rectangle([middle[0] - 0.5 * width, middle[1] - 14.0], [width, 20.0], "white");
         return svg.text(middle, curve.if_empty, Text { colour: GREY, ..Text::new(SMALL, Anchor::Middle) });
     }
-    let band: Vec<_> = line(3).chain(line(2).rev()).collect();
-    svg.area(&[&band], colour(curve.set), BAND);
+    svg.area(&[&panel.band(&curve.points)], colour(curve.set), BAND);
     if let Some([level, half]) = curve.tolerance {
         for value in [level - half, level + half] {
             let line = Stroke::new(GREY, 1.0).dashed("2 3");
@@ -93,7 +91,7 @@ fn draw_curve(svg: &mut Svg, panel: &Panel, curve: &Curve) {
         svg.line(panel.at([x, least]), panel.at([x, largest]), Stroke::new(colour(curve.set), 2.0));
         draw_mark(svg, panel.at([x, mean]), curve.set, 4.2, true);
     } else {
-        svg.polyline(&line(1).collect::<Vec<_>>(), Stroke::new(colour(curve.set), 2.0));
+        svg.polyline(&panel.path(&curve.points, 1), Stroke::new(colour(curve.set), 2.0));
     }
     if let Some((time, label)) = &curve.mark {
         let top = panel.at([*time, panel.y[1]]);

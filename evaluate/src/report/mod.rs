@@ -246,6 +246,15 @@ impl<'a> Report<'a> {
     }
 }
 
+/// Writes a figure as SVG and PNG.
+///
+/// # Errors
+/// A file cannot be written, or the figure cannot be rendered.
+pub fn write_figure(figure: &Figure, folder: &Path) -> Result<(), ReportError> {
+    write(&folder.join(format!("{}.svg", figure.name)), figure.svg.as_bytes())?;
+    write_png(&Renderer::default(), figure, folder)?.map_or(Ok(()), Err)
+}
+
 /// Writes a figure as PNG; returns why it cannot be rendered, if it cannot.
 fn write_png(renderer: &Renderer, figure: &Figure, folder: &Path) -> Result<Option<ReportError>, ReportError> {
     let name = &figure.name;

@@ -10,16 +10,15 @@ use anyhow::Context;
 use args::{Args, MOST_NAME, label};
 use clap::Parser;
 use supple::scenario::Sensing;
-use supple::util::files::{self, Target};
+use supple::util::files::Target;
 use supple::util::progress::columns;
 use supple::util::terminal::{self, shell_word};
 use supple_evaluate::exam::{Exam, Part, page};
-use supple_evaluate::learning_curves::{self, LearningSet, Over};
+use supple_evaluate::learning_curves::{self, LearningSet};
 use supple_evaluate::measurement_store::MeasurementStore;
-use supple_evaluate::plot::png::Renderer;
 use supple_evaluate::policy_sets::PolicySets;
 use supple_evaluate::protocol::Protocol;
-use supple_evaluate::report::{CommandLine, Report, text};
+use supple_evaluate::report::{self, CommandLine, Report, text};
 use supple_evaluate::runner::{self, Settings};
 use supple_evaluate::study::Study;
 
@@ -48,7 +47,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
     // E12 is about the two sets that are compared.
     let compared = self::policies(args, &[])?;
     let command = CommandLine { experiments: args.experiments.clone(), options: args.options() };
-    let curves = learning_curves::figures(&policies)?;
+    let curves = learning_curves::figures(&learning_curves::of_policies(&policies)?);
     let mut report = Report { curves, ..Report::new(&policies, name, command) };
     let on_sensors = report.sensing.notes.iter().filter(|_| args.sensing == Sensing::Estimated);
     policies.notes.iter().chain(on_sensors).for_each(|note| terminal::note(format_args!("note: {note}")));
@@ -85,13 +84,9 @@ fn prepare(args: &Args) -> anyhow::Result<()> {
 fn draw_curves(args: &Args) -> anyhow::Result<()> {
     let sets = args.curves.iter().map(|path| LearningSet::read(&label(path), path)).collect::<Result<Vec<_>, _>>()?;
     std::fs::create_dir_all(&args.out).with_context(|| format!("cannot create the folder {}", args.out.display()))?;
-    for (over, name) in Over::ALL {
-        let svg = learning_curves::draw(&sets, over);
-        let path = args.out.join(name);
-        let png = Renderer::default().png(&svg)?;
-        files::write_atomically(&path.with_extension("svg"), svg.as_bytes())?;
-        files::write_atomically(&path.with_extension("png"), &png)?;
-        terminal::print(format_args!("{}.png\n", path.display()))?;
+    for figure in learning_curves::figures(&sets) {
+        report::write_figure(&figure, &args.out)?;
+        terminal::print(format_args!("{}.png\n", args.out.join(figure.name).display()))?;
     }
     Ok(())
 }
