@@ -14,9 +14,7 @@ pub type PolicyResult = Vec<Vec<Sample>>;
 pub struct Results {
     /// The names of the sets, two or more; the first two are compared.
     pub names: Vec<String>,
-    /// The conditions that were varied.
     pub conditions: Vec<Condition>,
-    /// The quantities that were measured.
     pub quantities: &'static [Quantity],
     /// The samples by set, then by seed.
     pub sets: Vec<BTreeMap<u64, PolicyResult>>,
@@ -43,9 +41,6 @@ fn is_zero(count: &usize) -> bool {
 
 impl Results {
     /// Returns the index of a quantity by name.
-    ///
-    /// # Panics
-    /// The experiment has no quantity of that name.
     pub fn index(&self, quantity: &str) -> usize {
         let found = self.quantities.iter().position(|known| known.name == quantity);
         // Experiments use the names in their own lists; a test covers every experiment.
@@ -53,9 +48,6 @@ impl Results {
     }
 
     /// Returns a quantity by name.
-    ///
-    /// # Panics
-    /// The experiment has no quantity of that name.
     pub fn quantity(&self, name: &str) -> Quantity {
         self.quantities[self.index(name)]
     }

@@ -7,17 +7,14 @@ use super::results::Results;
 use super::section_content::{Claim, Figure, Lines, Row, SectionContent, Table};
 use super::statistics::{Expected, PerSeed, Spread};
 
-/// Conditions that are averaged, such as all directions at one command.
+/// Conditions that are averaged, such as all directions at one command, by their indices.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ConditionGroup {
-    /// The label in tables and figures.
     pub name: String,
-    /// The indices of the conditions.
     pub conditions: Vec<usize>,
 }
 
 impl ConditionGroup {
-    /// Creates a group.
     pub fn new(name: impl Into<String>, conditions: impl IntoIterator<Item = usize>) -> Self {
         ConditionGroup { name: name.into(), conditions: conditions.into_iter().collect() }
     }
@@ -27,14 +24,11 @@ impl ConditionGroup {
 #[derive(Debug)]
 pub struct SectionBuilder<'a> {
     name: &'static str,
-    /// The results of the experiment.
     pub results: &'a Results,
-    /// The content added so far.
     pub content: SectionContent,
 }
 
 impl<'a> SectionBuilder<'a> {
-    /// Creates an empty section.
     pub fn new(name: &'static str, results: &'a Results) -> Self {
         SectionBuilder { name, results, content: SectionContent::default() }
     }
@@ -108,7 +102,6 @@ impl<'a> SectionBuilder<'a> {
         Row { condition: group.name.clone(), quantity, paper: String::new(), comparison }
     }
 
-    /// Adds a figure.
     pub fn figure(&mut self, part: &str, caption: impl Into<String>, svg: String) {
         self.content.figures.push(Figure { name: self.named(part), caption: caption.into(), svg });
     }

@@ -8,30 +8,22 @@ use super::statistics::{Comparison, Expected, IntervalEstimate, Numbers, Spread,
 /// The claims, tables, figures and notes of an experiment.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct SectionContent {
-    /// The claims of the paper, each with a verdict.
     pub claims: Vec<Claim>,
-    /// The tables in the order of the report.
     pub tables: Vec<Table>,
-    /// The figures in the order of the report.
     pub figures: Vec<Figure>,
     /// The points of figures that no table has.
     pub lines: Vec<Lines>,
-    /// Notes about the numbers of this run.
     pub notes: Vec<String>,
 }
 
 /// A statement about two sets of policies, in most cases one of the paper.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Claim {
-    /// The claim in words.
     pub text: String,
     /// The paper's numbers, if it gives any.
     pub paper: String,
-    /// The quantity that is compared.
     pub quantity: Quantity,
-    /// The measured numbers.
     pub comparison: Comparison,
-    /// The verdict of the measured numbers.
     pub verdict: Verdict,
 }
 
@@ -54,11 +46,9 @@ impl Claim {
 pub struct Row {
     /// The condition; empty if nothing was varied.
     pub condition: String,
-    /// The measured quantity.
     pub quantity: Quantity,
     /// The paper's numbers, compliant / baseline; empty if it gives none.
     pub paper: String,
-    /// The measured numbers.
     pub comparison: Comparison,
 }
 
@@ -67,9 +57,7 @@ pub struct Row {
 pub struct Table {
     /// The file name without extension.
     pub name: String,
-    /// The caption of the table.
     pub caption: String,
-    /// The rows from top to bottom.
     pub rows: Vec<Row>,
     /// True if the table is in the report's page, false if it is only in a file.
     pub in_page: bool,
@@ -88,9 +76,7 @@ impl Table {
 pub struct Figure {
     /// The file name without extension.
     pub name: String,
-    /// The caption of the figure.
     pub caption: String,
-    /// The SVG document.
     pub svg: String,
 }
 
@@ -99,9 +85,7 @@ pub struct Figure {
 pub struct Lines {
     /// The file name without extension.
     pub name: String,
-    /// The names of the columns, with units.
     pub columns: Vec<&'static str>,
-    /// The lines in drawing order.
     pub lines: Vec<Line>,
 }
 

@@ -41,11 +41,8 @@ pub struct SensingComparison {
     pub all: Table,
     /// The table of the errors of the estimates, by set of policies.
     pub errors: Table,
-    /// Notes about the numbers.
     pub notes: Vec<String>,
-    /// The experiments that were run.
     pub experiments: Vec<&'static str>,
-    /// The checksum of the contact network.
     pub network: String,
     /// The time that the trials on estimates took \[s\].
     pub wall_s: f64,

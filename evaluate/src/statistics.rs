@@ -31,11 +31,9 @@ pub type PerSeed = BTreeMap<u64, f64>;
 /// The mean and standard deviation over seeds.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Spread {
-    /// The mean.
     pub mean: f64,
     /// The sample standard deviation; none with a single seed.
     pub sd: Option<f64>,
-    /// The number of seeds.
     pub seeds: usize,
 }
 
@@ -83,7 +81,6 @@ pub struct Trials {
 pub struct Numbers {
     /// The numbers of the policies that have one; empty for a number of all policies together.
     pub by_seed: PerSeed,
-    /// The mean and standard deviation of the numbers.
     pub spread: Option<Spread>,
     /// The number of policies of the set, with or without a number.
     pub members: usize,
@@ -112,7 +109,6 @@ impl Numbers {
 /// The numbers of all sets of policies in one quantity, and the difference of the first two sets.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Comparison {
-    /// The numbers by set.
     pub sets: Vec<Numbers>,
     /// The first set minus the second, over the seeds that both have.
     pub difference: Option<IntervalEstimate>,
@@ -208,9 +204,7 @@ pub fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Expected {
-    /// The first set's number is higher.
     Higher,
-    /// The first set's number is lower.
     Lower,
 }
 
@@ -268,7 +262,6 @@ impl Verdict {
         }
     }
 
-    /// Returns the verdict as text.
     pub fn text(self) -> &'static str {
         match self {
             Verdict::AsExpected => "effect in the expected direction",

@@ -3,16 +3,12 @@
 use super::svg::{Anchor, Stroke, Svg, Text};
 use super::{GREY, INK, LARGE, PALE, SMALL, colour, line};
 
-/// A rectangle of a figure with data coordinates.
+/// A rectangle of a figure, from its upper left corner \[px\], with the data ranges along x and, upwards, along y.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Panel {
-    /// The upper left corner \[px\].
     pub corner: [f64; 2],
-    /// The width and height \[px\].
     pub size: [f64; 2],
-    /// The data range along x.
     pub x: [f64; 2],
-    /// The data range along y, upwards.
     pub y: [f64; 2],
 }
 
@@ -64,7 +60,6 @@ impl Panel {
         }
     }
 
-    /// Draws the panel's border.
     pub fn draw_frame(&self, svg: &mut Svg) {
         let [left, top] = self.corner;
         let [right, bottom] = [left + self.size[0], top + self.size[1]];
@@ -106,7 +101,6 @@ pub fn draw_mark(svg: &mut Svg, [x, y]: [f64; 2], set: usize, radius: f64, fille
     svg.outline(corners, stroke);
 }
 
-/// Draws a cross.
 pub fn draw_cross(svg: &mut Svg, centre: [f64; 2], radius: f64) {
     let [x, y] = centre;
     for sign in [-1.0, 1.0] {

@@ -5,12 +5,10 @@ use super::svg::{Anchor, Stroke, Svg, Text};
 use super::{BAND, GREY, INK, SMALL, WIDTH, colour};
 use crate::statistics::mean;
 
-/// The mean and the extremes of several runs, with the annotations of their panel.
+/// The mean and the extremes of several runs, in the colour of a set, with the annotations of their panel.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Curve {
-    /// The index of the set, which decides the colour.
     pub set: usize,
-    /// The title of the panel.
     pub title: String,
     /// The points (x, mean, least, largest) in order of x.
     pub points: Vec<[f64; 4]>,

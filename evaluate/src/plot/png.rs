@@ -34,10 +34,7 @@ impl Default for Renderer {
 }
 
 impl Renderer {
-    /// Returns the bytes of a PNG file.
-    ///
-    /// # Errors
-    /// The text is not SVG, or the picture is too large or cannot be encoded.
+    /// Returns the bytes of a PNG file; an error if the text is not SVG, or the picture is too large or cannot be encoded.
     pub fn png(&self, svg: &str) -> Result<Vec<u8>, RenderError> {
         let tree = usvg::Tree::from_str(svg, &self.options)?;
         let size = tree.size();

@@ -10,16 +10,12 @@ pub struct Svg {
     body: String,
 }
 
-/// The style of a line.
+/// The style of a line: colour as `#rrggbb`, width \[px\], `stroke-dasharray`, and opacity, 0 to 1.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Stroke {
-    /// The colour as `#rrggbb`.
     pub colour: &'static str,
-    /// The width of the line \[px\].
     pub width: f64,
-    /// The `stroke-dasharray`, empty for a solid line.
     pub dash: &'static str,
-    /// The opacity, 0 to 1.
     pub opacity: f64,
 }
 
@@ -29,13 +25,11 @@ impl Stroke {
         Stroke { colour, width, dash: "", opacity: 1.0 }
     }
 
-    /// Sets the dashes.
     pub const fn dashed(mut self, dash: &'static str) -> Self {
         self.dash = dash;
         self
     }
 
-    /// Sets the opacity, 0 to 1.
     pub const fn faint(mut self, opacity: f64) -> Self {
         self.opacity = opacity;
         self
@@ -53,29 +47,21 @@ impl Stroke {
     }
 }
 
-/// The place of a text's given point.
+/// The part of a text that lies at its given point.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Anchor {
-    /// The left end of the text.
     Start,
-    /// The middle of the text.
     Middle,
-    /// The right end of the text.
     End,
 }
 
-/// The style of a text.
+/// The style of a text of a font size \[px\]; one that is `upwards` is turned.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Text {
-    /// The font size \[px\].
     pub size: f64,
-    /// The colour as `#rrggbb`.
     pub colour: &'static str,
-    /// True for bold text.
     pub bold: bool,
-    /// The place of the given point in the text.
     pub anchor: Anchor,
-    /// True for text that reads upwards.
     pub upwards: bool,
     /// True for a white rim, which keeps text readable over lines.
     pub rimmed: bool,
@@ -89,7 +75,6 @@ impl Text {
 }
 
 impl Svg {
-    /// Creates an empty white drawing.
     pub fn new(width: f64, height: f64) -> Self {
         Svg { width, height, body: String::new() }
     }

@@ -7,25 +7,19 @@ use super::{GREY, INK, WIDTH, colour};
 /// The pose of a box: x \[m\], y \[m\], yaw \[rad\].
 pub type BoxPose = [f64; 3];
 
-/// The path of the robot and the poses of the box in one trial.
+/// The path of the trunk (x, y) \[m\] in one trial, which may end with a fall, and the poses of the box before and after.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Run {
-    /// The trunk's path (x, y) \[m\].
     pub path: Vec<[f64; 2]>,
-    /// The pose of the box at the start.
     pub first: BoxPose,
-    /// The pose of the box at the end.
     pub last: BoxPose,
-    /// True if the robot fell at the end of the path.
     pub fell: bool,
 }
 
-/// The runs of one set. The first is drawn in full, the others faintly.
+/// The runs of one set in the order of trials. The first is drawn in full, the others faintly.
 #[derive(Debug, Clone, PartialEq)]
 pub struct View {
-    /// The title above the panel.
     pub title: String,
-    /// The runs in the order of trials.
     pub runs: Vec<Run>,
 }
 
