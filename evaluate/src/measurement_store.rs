@@ -222,13 +222,7 @@ mod tests {
         let (store, protocol) = (MeasurementStore::new(folder.path()), Protocol::quick().unwrap());
         let agent = supple::policy::shipped::find("compliant").unwrap();
         let member = SetMember { seed: 3, file: PathBuf::from("x"), agent };
-        let sample = Sample {
-            end: TrialEnd::Upright,
-            values: vec![Some(0.5), None],
-            series: Vec::new(),
-            fault: None,
-            estimation: None,
-        };
+        let sample = Sample::new(TrialEnd::Upright, vec![Some(0.5), None]);
         let key = "0123456789abcdef0123";
         store.write(&protocol.decay, key, &member, 1.25, vec![vec![sample]]).unwrap();
         let path = store.path(&protocol.decay, key);

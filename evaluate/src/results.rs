@@ -182,13 +182,7 @@ mod tests {
         let condition = protocol.decay.conditions().unwrap().remove(0);
         let sample = |value: &Option<f64>| {
             let (fell, end) = value.map_or((1.0, TrialEnd::Fell), |_| (0.0, TrialEnd::Upright));
-            Sample {
-                end,
-                values: vec![*value, None, None, None, None, Some(fell)],
-                series: Vec::new(),
-                fault: None,
-                estimation: None,
-            }
+            Sample::new(end, vec![*value, None, None, None, None, Some(fell)])
         };
         let policy = |values: &[Option<f64>; 2]| values.iter().map(|value| vec![sample(value)]).collect();
         Results {

@@ -85,8 +85,8 @@ impl<'a> SectionBuilder<'a> {
 
     /// Adds a table of these rows, to the page too if it is `in_page`.
     pub fn add_table(&mut self, part: &str, caption: &str, rows: Vec<Row>, in_page: bool) -> &mut Table {
-        let (name, index) = (self.named(part), self.content.tables.len());
-        self.content.tables.push(Table { name, caption: caption.to_owned(), rows, in_page });
+        let index = self.content.tables.len();
+        self.content.tables.push(Table::new(self.named(part), caption, rows, in_page));
         &mut self.content.tables[index]
     }
 

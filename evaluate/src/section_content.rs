@@ -64,6 +64,11 @@ pub struct Table {
 }
 
 impl Table {
+    /// Creates a table.
+    pub fn new(name: impl Into<String>, caption: &str, rows: Vec<Row>, in_page: bool) -> Self {
+        Table { name: name.into(), caption: caption.to_owned(), rows, in_page }
+    }
+
     /// Sets the paper's numbers in the rows of a quantity.
     pub fn set_paper(&mut self, quantity: &str, paper: &str) {
         let rows = self.rows.iter_mut().filter(|row| row.quantity.name == quantity);

@@ -12,7 +12,7 @@ use supple::policy::Agent;
 use supple::scenario::catalog::{Scenario, ScriptError};
 use supple::scenario::estimation::Estimation;
 use supple::scenario::metrics::{self, Metric, PHASE_S};
-use supple::scenario::trace::{EventKind, Trace};
+use supple::scenario::trace::Trace;
 use supple::scenario::{Beginning, Playback, Script, Sensing, SensingError};
 use supple::util::random::{Purpose, stream};
 
@@ -47,11 +47,10 @@ pub enum TrialEnd {
 impl TrialEnd {
     /// Reads the end of a trial from its trace.
     pub fn from_trace(trace: &Trace) -> Self {
-        let happened = |kind| trace.events.iter().any(|event| event.kind == kind);
-        match (happened(EventKind::Fall), happened(EventKind::Fault)) {
-            (true, _) => TrialEnd::Fell,
-            (false, true) => TrialEnd::Fault,
-            (false, false) => TrialEnd::Upright,
+        match (trace.fall(), trace.fault()) {
+            (Some(_), _) => TrialEnd::Fell,
+            (None, Some(_)) => TrialEnd::Fault,
+            (None, None) => TrialEnd::Upright,
         }
     }
 
@@ -81,6 +80,13 @@ pub struct Sample {
     /// The errors of the state estimates; none if the policy acted on the true state.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub estimation: Option<Estimation>,
+}
+
+impl Sample {
+    /// Creates the sample of a trial without series, fault and estimates.
+    pub fn new(end: TrialEnd, values: Vec<Option<f64>>) -> Self {
+        Sample { end, values, series: Vec::new(), fault: None, estimation: None }
+    }
 }
 
 /// A trial that was played, from which an experiment takes its numbers.
@@ -245,8 +251,7 @@ pub fn play(
     beginnings: Option<&Beginnings>,
 ) -> Result<Sample, TrialError> {
     let Some((scenario, mut script)) = set_up(condition, seed, agent)? else {
-        let values = vec![None; experiment.info().quantities.len()];
-        return Ok(Sample { end: TrialEnd::OutOfReach, values, series: Vec::new(), fault: None, estimation: None });
+        return Ok(Sample::new(TrialEnd::OutOfReach, vec![None; experiment.info().quantities.len()]));
     };
     // End the playback at the last measured instant or at the fall.
     script.duration_s = experiment.until_s(&script);

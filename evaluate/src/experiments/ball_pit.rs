@@ -14,13 +14,11 @@ const QUANTITIES: &[Quantity] = &[
     Quantity::new("power_w", "power among the balls", "W", 1),
 ];
 
-/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BallPit {
     /// The kinds of balls; each fills a pit of its own.
     pub pits: Vec<Balls>,
-    /// The number of trials of each policy in each pit.
     pub trials: u32,
 }
 

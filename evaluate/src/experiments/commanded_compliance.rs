@@ -74,7 +74,6 @@ impl Over {
 /// The largest velocity that a pull may cause \[m/s\]; stronger pulls would test the robot's speed, not its compliance.
 const LARGEST_ERROR_M_S: f64 = 0.5;
 
-/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CommandedCompliance {
@@ -86,7 +85,6 @@ pub struct CommandedCompliance {
     pub directions: u32,
     /// The pulling forces \[N\].
     pub forces_n: Vec<f64>,
-    /// The number of trials of each policy in each condition.
     pub trials: u32,
     /// The earliest start of the pull \[s\]; each trial delays it by up to 0.65 s.
     pub at_s: f64,
@@ -324,7 +322,7 @@ mod tests {
             if let (compliance, Some(_)) = commanded(condition) {
                 values[0] = compliance;
             }
-            vec![Sample { end: TrialEnd::Upright, values, series: Vec::new(), fault: None, estimation: None }]
+            vec![Sample::new(TrialEnd::Upright, values)]
         };
         let policy: Vec<_> = conditions.iter().map(sample).collect();
         let sets = vec![BTreeMap::from([(0, policy)]); 2];

@@ -12,13 +12,11 @@ const BRIEFLY_AVERAGED: Quantity =
 
 const QUANTITIES: &[Quantity] = &[push::TO_10, push::TO_20, push::CARRIED, push::UNDECAYED, FELL, BRIEFLY_AVERAGED];
 
-/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Directions {
     /// The number of directions, which divide the circle evenly.
     pub directions: u32,
-    /// The number of trials of each policy in each direction.
     pub trials: u32,
     /// The forward commands \[m/s\]; 0 is standing.
     pub commands_m_s: Vec<f64>,

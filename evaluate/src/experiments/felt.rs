@@ -65,7 +65,6 @@ const BEFORE_FALL_S: f64 = 0.5;
 /// The least time over which a force is measured \[s\].
 const LEAST_S: f64 = 0.25;
 
-/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Felt {
@@ -91,7 +90,6 @@ pub struct Felt {
     pub terrain_m: f64,
     /// The masses on the trunk that the robot does not know of \[kg\].
     pub extra_masses_kg: Vec<f64>,
-    /// The number of trials of each policy in each condition.
     pub trials: u32,
 }
 

@@ -24,11 +24,9 @@ const QUANTITIES: &[Quantity] = &[
 /// The number of policy steps between the kept points of a path.
 const PATH_STEPS: usize = 6;
 
-/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FreeBox {
-    /// The number of trials of each policy at each friction.
     pub trials: u32,
     /// The sliding friction coefficients of the box.
     pub frictions: Vec<f64>,

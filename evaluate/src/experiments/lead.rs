@@ -10,7 +10,6 @@ const QUANTITIES: &[Quantity] = &[
     FELL,
 ];
 
-/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Lead {
@@ -18,7 +17,6 @@ pub struct Lead {
     pub commands_m_s: Vec<f64>,
     /// The number of directions, which divide the circle evenly.
     pub directions: u32,
-    /// The number of trials of each policy in each direction at each command.
     pub trials: u32,
 }
 

@@ -46,7 +46,7 @@ mod prelude {
 /// Defines [`Protocol`] from the list of experiments: section of the protocol, and type of the parameters.
 macro_rules! protocol {
     ($($(#[$attribute:meta])* $section:ident: $Experiment:ty;)*) => {
-        /// Every experiment with its parameters, in the order of the report.
+        /// Every experiment with its parameters, in the order of the report; `trials` are those of each policy in each condition.
         #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
         #[serde(deny_unknown_fields)]
         #[allow(missing_docs)]
@@ -158,8 +158,7 @@ mod tests {
         for experiment in protocol.experiments() {
             for (value, sets) in [(None, 2), (Some(0.5), 2), (Some(0.5), 5)] {
                 let values = vec![value; experiment.info().quantities.len()];
-                let sample =
-                    Sample { end: TrialEnd::Upright, values, series: Vec::new(), fault: None, estimation: None };
+                let sample = Sample::new(TrialEnd::Upright, values);
                 let content = experiment.content(&results(experiment, &sample, sets));
                 let name = experiment.info().name;
                 assert!(!content.claims.is_empty() && !content.tables.is_empty(), "{name}");

@@ -10,13 +10,11 @@ const QUANTITIES: &[Quantity] = &[
     Quantity::new("steepest_met", "steepest slope on the way", "%", 0),
 ];
 
-/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Outdoor {
     /// The steepest slopes of the hills, rise over run.
     pub steepest: Vec<f64>,
-    /// The number of trials of each policy for each slope.
     pub trials: u32,
 }
 

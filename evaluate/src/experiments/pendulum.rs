@@ -17,7 +17,6 @@ const QUANTITIES: &[Quantity] = &[
     FELL,
 ];
 
-/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Pendulum {
@@ -25,7 +24,6 @@ pub struct Pendulum {
     pub commands_m_s: Vec<f64>,
     /// The release heights of the ball above its lowest point \[m\].
     pub heights_m: Vec<f64>,
-    /// The number of trials of each policy from each height at each command.
     pub trials: u32,
 }
 

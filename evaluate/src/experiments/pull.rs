@@ -6,13 +6,11 @@ use super::prelude::*;
 const SURVIVED: Quantity = Quantity::new("survived", "survived", "%", 0);
 const QUANTITIES: &[Quantity] = &[SURVIVED];
 
-/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PullSurvival {
     /// The number of directions, which divide the circle evenly.
     pub directions: u32,
-    /// The number of trials of each policy in each direction with each force.
     pub trials: u32,
     /// The pulling forces \[N\].
     pub forces_n: Vec<f64>,

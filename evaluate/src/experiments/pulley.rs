@@ -12,7 +12,6 @@ const QUANTITIES: &[Quantity] = &[
     FELL,
 ];
 
-/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Pulley {
@@ -20,7 +19,6 @@ pub struct Pulley {
     pub commands_m_s: Vec<f64>,
     /// The directions of the pull in the heading frame: 0 ahead, 90 left, 180 back, 270 right \[deg\].
     pub directions_deg: Vec<f64>,
-    /// The number of trials of each policy in each direction at each command.
     pub trials: u32,
 }
 

@@ -18,7 +18,6 @@ const FRACTION_BY_SEED: Quantity =
 const MEAN_SUCCESS: Quantity = Quantity::new("mean_success", "success rate over the whole grid", "%", 1);
 const QUANTITIES: &[Quantity] = &[SUCCESS];
 
-/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PushGrid {
@@ -26,7 +25,6 @@ pub struct PushGrid {
     pub limit_m_s: f64,
     /// The number of grid points along either axis.
     pub points_per_side: usize,
-    /// The number of trials of each policy at each grid point.
     pub trials: u32,
     /// The earliest time of the push \[s\]; each trial delays it by up to 0.65 s.
     pub at_s: f64,

@@ -12,13 +12,11 @@ const QUANTITIES: &[Quantity] = &[
     Quantity::new("power_w", "power", "W", 1),
 ];
 
-/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Rubble {
     /// The largest heights of the blocks \[m\].
     pub heights_m: Vec<f64>,
-    /// The number of trials of each policy for each height.
     pub trials: u32,
 }
 

@@ -30,11 +30,9 @@ const PAPER: [(&str, &str); 6] = [
     ("torque_sum_increase_n_m", "0.3 / 0.5"),
 ];
 
-/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Table4 {
-    /// The number of trials of each policy.
     pub trials: u32,
     /// The length of the averaging windows before and after the push \[s\].
     pub window_s: f64,

@@ -10,7 +10,6 @@ const QUANTITIES: &[Quantity] = &[
     Quantity::new("power_w", "power", "W", 1),
 ];
 
-/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Terrain {
@@ -18,7 +17,6 @@ pub struct Terrain {
     pub heights_m: Vec<f64>,
     /// The frequencies of the terrain: lattice cells per metre \[1/m\].
     pub frequencies_per_m: Vec<f64>,
-    /// The number of trials of each policy on each terrain.
     pub trials: u32,
 }
 

@@ -25,11 +25,9 @@ const QUANTITIES: &[Quantity] = &[
 /// The fraction of time in flight from which a gait counts as hopping; a trot at this speed has almost none.
 const HOPPING_FRACTION: f64 = 0.3;
 
-/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Walk {
-    /// The number of trials of each policy at each command.
     pub trials: u32,
     /// The commands: forward \[m/s\], left \[m/s\], yaw rate \[rad/s\].
     pub commands: Vec<[f64; 3]>,

@@ -11,13 +11,11 @@ const QUANTITIES: &[Quantity] = &[
     FELL,
 ];
 
-/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Wall {
     /// The forward commands \[m/s\].
     pub commands_m_s: Vec<f64>,
-    /// The number of trials of each policy at each command.
     pub trials: u32,
 }
 
