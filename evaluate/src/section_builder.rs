@@ -4,7 +4,7 @@ use super::Quantity;
 use super::plot::dots::{self, Dots};
 use super::plot::polar::{self, Polar, Scales};
 use super::results::Results;
-use super::section_content::{Claim, Figure, Lines, Row, SectionContent, Table};
+use super::section_content::{Claim, Figure, Row, SectionContent, Table};
 use super::statistics::{Expected, PerSeed, Spread};
 
 /// Conditions that are averaged, such as all directions at one command, by their indices.
@@ -171,16 +171,6 @@ impl<'a> SectionBuilder<'a> {
 
     fn has_several_seeds(&self) -> bool {
         self.results.sets.iter().any(|set| set.len() > 1)
-    }
-
-    /// Adds the points of a figure's lines, as a file.
-    pub fn lines(&mut self, lines: impl IntoIterator<Item = Lines>) {
-        self.content.lines.extend(lines);
-    }
-
-    /// Adds notes for the reader.
-    pub fn notes(&mut self, notes: impl IntoIterator<Item = String>) {
-        self.content.notes.extend(notes);
     }
 
     /// Returns the value of a function for each set.

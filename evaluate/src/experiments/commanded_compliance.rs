@@ -77,20 +77,13 @@ const LARGEST_ERROR_M_S: f64 = 0.5;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CommandedCompliance {
-    /// The commanded compliances \[m/s/N\].
     pub compliances: Vec<f64>,
-    /// The forward commands \[m/s\]; 0 is standing.
     pub commands_m_s: Vec<f64>,
-    /// The number of directions, which divide the circle evenly.
     pub directions: u32,
-    /// The pulling forces \[N\].
     pub forces_n: Vec<f64>,
     pub trials: u32,
-    /// The earliest start of the pull \[s\]; each trial delays it by up to 0.65 s.
     pub at_s: f64,
-    /// The length of the pull \[s\].
     pub for_s: f64,
-    /// The length of the averaging window at the end of the pull \[s\].
     pub average_s: f64,
 }
 

@@ -83,6 +83,6 @@ impl Experiment for Decay {
             let text = format!("After a sideways push, compliant policies {words}");
             section.claim(&text, "+85 % in time", quantity, Higher, &[0]);
         }
-        section.notes(push::undecayed(results, &[0]));
+        section.content.notes.extend(push::undecayed(results, &[0]));
     }
 }

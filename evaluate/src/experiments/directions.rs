@@ -15,10 +15,8 @@ const QUANTITIES: &[Quantity] = &[push::TO_10, push::TO_20, push::CARRIED, push:
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Directions {
-    /// The number of directions, which divide the circle evenly.
     pub directions: u32,
     pub trials: u32,
-    /// The forward commands \[m/s\]; 0 is standing.
     pub commands_m_s: Vec<f64>,
 }
 
@@ -71,7 +69,10 @@ impl Experiment for Directions {
                 );
                 section.claim(&text, "longer", quantity, Higher, &group.conditions);
             }
-            section.notes(push::undecayed(section.results, &group.conditions).map(|note| format!("{name}: {note}")));
+            section
+                .content
+                .notes
+                .extend(push::undecayed(section.results, &group.conditions).map(|note| format!("{name}: {note}")));
             let shown = QUANTITIES.iter().filter(|quantity| is_standing || **quantity != BRIEFLY_AVERAGED);
             rows.extend(shown.map(|quantity| section.row(group, *quantity)));
         }

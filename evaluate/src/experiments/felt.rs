@@ -70,13 +70,9 @@ const LEAST_S: f64 = 0.25;
 pub struct Felt {
     /// The forward commands of the pulled robots \[m/s\]; 0 is standing.
     pub commands_m_s: Vec<f64>,
-    /// The pulling forces \[N\].
     pub forces_n: Vec<f64>,
-    /// The number of directions, which divide the circle evenly.
     pub directions: u32,
-    /// The earliest start of the pull \[s\]; each trial delays it by up to 0.65 s.
     pub at_s: f64,
-    /// The length of the pull \[s\].
     pub for_s: f64,
     /// The directions of pushes, and of pulls by a weight: 0 ahead, 90 left \[deg\].
     pub sides_deg: Vec<f64>,
@@ -337,7 +333,10 @@ impl Experiment for Felt {
             let comparison = results.compare_over(over, quantity.name);
             if let (true, Some(found)) = (is_on_sensors, comparison.sets[0].spread) {
                 let (label, found) = (quantity.label, number(found.mean, quantity));
-                section.notes([format!("{place}, on sensors: {label} {found} N; aim: < {on_sensors} N.")]);
+                section
+                    .content
+                    .notes
+                    .extend([format!("{place}, on sensors: {label} {found} N; aim: < {on_sensors} N.")]);
             }
             let text = format!("{place}, {text} below {bound} N");
             section.content.claims.push(Claim::below(bound, text, "", quantity, comparison));

@@ -146,7 +146,7 @@ impl Experiment for FreeBox {
             _ => 0.0,
         };
         let views = section.by_set(|set| self.view(section.results, set));
-        section.lines(paths_and_boxes(&views));
+        section.content.lines.extend(paths_and_boxes(&views));
         let caption = format!(
             "Walking into a free box ({}), seen from above; the robot starts at (0, 0) and walks to the right. In \
              full: one trial with the robot's path, the box before (dashed) and after (filled). Faint: the other \

@@ -13,9 +13,7 @@ const QUANTITIES: &[Quantity] = &[
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Lead {
-    /// The forward commands \[m/s\]; 0 is standing.
     pub commands_m_s: Vec<f64>,
-    /// The number of directions, which divide the circle evenly.
     pub directions: u32,
     pub trials: u32,
 }

@@ -12,16 +12,11 @@ const QUANTITIES: &[Quantity] = &[
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Leash {
-    /// The number of directions, which divide the circle evenly.
     pub directions: u32,
     pub trials: u32,
-    /// The pulling forces \[N\].
     pub forces_n: Vec<f64>,
-    /// The earliest start of the pull \[s\]; each trial delays it by up to 0.65 s.
     pub at_s: f64,
-    /// The length of the pull \[s\].
     pub for_s: f64,
-    /// The length of the averaging window at the end of the pull \[s\].
     pub average_s: f64,
 }
 

@@ -46,7 +46,11 @@ mod prelude {
 /// Defines [`Protocol`] from the list of experiments: section of the protocol, and type of the parameters.
 macro_rules! protocol {
     ($($(#[$attribute:meta])* $section:ident: $Experiment:ty;)*) => {
-        /// Every experiment with its parameters, in the order of the report; `trials` are those of each policy in each condition.
+        /// Every experiment with its parameters, in the order of the report.
+        ///
+        /// In all of them, `trials` are those of each policy in each condition, `commands_m_s` go forward (0 is standing), and
+        /// `directions` is a number that divides the circle evenly. A pull starts `at_s`, which each trial delays by up to 0.65 s,
+        /// for `for_s`, and is averaged over `average_s` at its end.
         #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
         #[serde(deny_unknown_fields)]
         #[allow(missing_docs)]

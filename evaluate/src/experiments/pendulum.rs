@@ -20,7 +20,6 @@ const QUANTITIES: &[Quantity] = &[
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Pendulum {
-    /// The forward commands \[m/s\]; 0 is standing.
     pub commands_m_s: Vec<f64>,
     /// The release heights of the ball above its lowest point \[m\].
     pub heights_m: Vec<f64>,
@@ -82,7 +81,10 @@ impl Experiment for Pendulum {
         velocity::figure(section, ["velocity", "pendulum-velocities"], words, last, |curve, _| curve, caption);
         let groups = section.groups(&self.commands_m_s, |command| gait(command).to_owned());
         for (ConditionGroup { name, conditions }, command) in groups.iter().zip(&self.commands_m_s) {
-            section.notes(push::undecayed(section.results, conditions).map(|note| format!("{name}: {note}")));
+            section
+                .content
+                .notes
+                .extend(push::undecayed(section.results, conditions).map(|note| format!("{name}: {note}")));
             for (quantity, words) in push::lasting(*command) {
                 let text =
                     format!("Hit by a swinging ball while {name}, compliant policies {words} (mean over heights)");

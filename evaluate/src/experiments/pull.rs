@@ -9,14 +9,10 @@ const QUANTITIES: &[Quantity] = &[SURVIVED];
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PullSurvival {
-    /// The number of directions, which divide the circle evenly.
     pub directions: u32,
     pub trials: u32,
-    /// The pulling forces \[N\].
     pub forces_n: Vec<f64>,
-    /// The earliest start of the pull \[s\]; each trial delays it by up to 0.65 s.
     pub at_s: f64,
-    /// The length of the pull \[s\].
     pub for_s: f64,
 }
 

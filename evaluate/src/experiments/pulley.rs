@@ -15,7 +15,6 @@ const QUANTITIES: &[Quantity] = &[
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Pulley {
-    /// The forward commands \[m/s\]; 0 is standing.
     pub commands_m_s: Vec<f64>,
     /// The directions of the pull in the heading frame: 0 ahead, 90 left, 180 back, 270 right \[deg\].
     pub directions_deg: Vec<f64>,

@@ -39,7 +39,7 @@ pub(super) fn figure(
 ) {
     let curves = section.by_set(|set| marked(curve(section.results, set, condition), set));
     section.figure(part, caption, curves::draw(title, &curves, x_label, "sideways velocity [m/s]"));
-    section.lines([self::lines(lines, section.results)]);
+    section.content.lines.extend([self::lines(lines, section.results)]);
 }
 
 /// Returns mean and extremes over the runs of the shown policy in a condition.

@@ -147,6 +147,6 @@ impl Experiment for Walk {
             &["velocity_error_m_s", "power_w"],
             "Commands forward and left are in m/s, turns to the left in rad/s.",
         );
-        section.notes(std::iter::once(mean_error_note(results)).chain(self.warnings(results)));
+        section.content.notes.extend(std::iter::once(mean_error_note(results)).chain(self.warnings(results)));
     }
 }

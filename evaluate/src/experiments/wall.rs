@@ -14,7 +14,6 @@ const QUANTITIES: &[Quantity] = &[
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Wall {
-    /// The forward commands \[m/s\].
     pub commands_m_s: Vec<f64>,
     pub trials: u32,
 }

@@ -32,13 +32,8 @@ pub enum ReportError {
     #[error("cannot write the {0}")]
     Write(#[from] FileError),
     /// A figure cannot be rendered as PNG.
-    #[error("figure {name}: {source}")]
-    Figure {
-        /// The figure's name.
-        name: String,
-        /// The reason.
-        source: RenderError,
-    },
+    #[error("figure {0}: {1}")]
+    Figure(String, #[source] RenderError),
 }
 
 /// The command line that makes a report.
@@ -260,7 +255,7 @@ fn write_png(renderer: &Renderer, figure: &Figure, folder: &Path) -> Result<Opti
     let name = &figure.name;
     match renderer.png(&figure.svg) {
         Ok(png) => write(&folder.join(format!("{name}.png")), &png).map(|()| None),
-        Err(source) => Ok(Some(ReportError::Figure { name: name.clone(), source })),
+        Err(error) => Ok(Some(ReportError::Figure(name.clone(), error))),
     }
 }
 
