@@ -159,7 +159,7 @@ pub trait Experiment: erased_serde::Serialize + Sync {
         script.duration_s
     }
 
-    /// Takes the experiment's numbers from a trial; by default, the scenario's metrics of the same names.
+    /// Takes the experiment's numbers from a trial; by default, those of [`Trial::upright_metrics`].
     fn measure(&self, trial: &Trial) -> TrialValues {
         trial.upright_metrics(self.info().quantities)
     }

@@ -98,8 +98,7 @@ impl<'a> SectionBuilder<'a> {
 
     /// Returns the row of a quantity's mean over a group.
     pub fn row(&self, group: &ConditionGroup, quantity: Quantity) -> Row {
-        let comparison = self.results.compare_over(&group.conditions, quantity.name);
-        Row { condition: group.name.clone(), quantity, paper: String::new(), comparison }
+        Row::new(&group.name, quantity, self.results.compare_over(&group.conditions, quantity.name))
     }
 
     pub fn figure(&mut self, part: &str, caption: impl Into<String>, svg: String) {

@@ -52,6 +52,13 @@ pub struct Row {
     pub comparison: Comparison,
 }
 
+impl Row {
+    /// Creates a row for which the paper has no numbers.
+    pub fn new(condition: impl Into<String>, quantity: Quantity, comparison: Comparison) -> Self {
+        Row { condition: condition.into(), quantity, paper: String::new(), comparison }
+    }
+}
+
 /// A table of the report.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Table {

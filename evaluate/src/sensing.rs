@@ -96,15 +96,13 @@ impl SensingComparison {
                 self.notes.push(format!("{of}: {failed}; they have no numbers."));
             }
             self.notes.extend(content.notes.iter().map(|note| format!("{of}: {note}")));
-            let is_main = |quantity: Quantity| {
-                quantity == FELL || content.claims.iter().any(|claim| claim.quantity.name == quantity.name)
-            };
+            let is_claimed = |name: &str| content.claims.iter().any(|claim| claim.quantity.name == name);
             for table in &content.tables {
                 for row in &table.rows {
                     let place = if row.condition.is_empty() { String::new() } else { format!(", {}", row.condition) };
                     let condition = format!("{} {}{place}, {name}", info.id, info.name);
-                    let row = Row { condition, paper: String::new(), ..row.clone() };
-                    if table.in_page && is_main(row.quantity) {
+                    let row = Row::new(condition, row.quantity, row.comparison.clone());
+                    if table.in_page && (row.quantity == FELL || is_claimed(row.quantity.name)) {
                         self.main.rows.push(row.clone());
                     }
                     // Some experiments have a part of a table in the page and all of it in a file.
@@ -117,15 +115,15 @@ impl SensingComparison {
         for (quantity, of) in ERRORS {
             let sets = estimated.results.sets.iter().map(|set| Numbers::new(errors(set, of), set.len()));
             let condition = format!("{} {}", info.id, info.name);
-            let comparison = Comparison::new(sets.collect());
-            self.errors.rows.push(Row { condition, quantity, paper: String::new(), comparison });
+            self.errors.rows.push(Row::new(condition, quantity, Comparison::new(sets.collect())));
         }
     }
 
-    /// Returns the tables, each with the names of its sets.
-    pub fn tables(&self) -> [(&Table, Vec<String>); 3] {
+    /// Returns the tables, each with the names of its sets; none if no experiment was run.
+    pub fn tables(&self) -> Vec<(&Table, Vec<String>)> {
         let ways = || NAMES.map(ToOwned::to_owned).to_vec();
-        [(&self.main, ways()), (&self.errors, self.set_names.clone()), (&self.all, ways())]
+        let tables = vec![(&self.main, ways()), (&self.errors, self.set_names.clone()), (&self.all, ways())];
+        if self.experiments.is_empty() { Vec::new() } else { tables }
     }
 }
 

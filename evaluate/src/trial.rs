@@ -125,11 +125,13 @@ impl<'a> Trial<'a> {
         self.is_upright().then(|| self.metric(name))?
     }
 
-    /// Returns the metrics of the quantities' names, none if the robot fell; the quantity [`FELL`] is always defined.
+    /// Returns the metrics of the quantities' names, none if the robot fell; [`FELL`] and `success`, no fall, are always defined.
     pub fn upright_metrics(&self, quantities: &[Quantity]) -> TrialValues {
-        let value = |quantity: &Quantity| match *quantity {
-            FELL => self.end.fell(),
-            quantity => self.upright_metric(quantity.name),
+        let value = |quantity: &Quantity| match quantity.name {
+            name if name == FELL.name => self.end.fell(),
+            "success" => Some(f64::from(u8::from(self.is_upright()))),
+            "velocity_error_m_s" => self.velocity_error(),
+            name => self.upright_metric(name),
         };
         quantities.iter().map(value).collect::<Vec<_>>().into()
     }

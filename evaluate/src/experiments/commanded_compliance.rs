@@ -142,8 +142,8 @@ impl CommandedCompliance {
             let points: Vec<[f64; 2]> = conditions.chunks(self.directions as usize).filter_map(point).collect();
             let Some([slope, intercept, r_squared]) = line(&points) else { continue };
             let numbers = [slope, intercept, r_squared, (slope - 1.0).abs(), 1.0 - r_squared];
-            for (numbers, number) in lines.iter_mut().zip(numbers) {
-                numbers.insert(*seed, number);
+            for (line, number) in lines.iter_mut().zip(numbers) {
+                line.insert(*seed, number);
             }
         }
         lines
@@ -236,7 +236,7 @@ impl Experiment for CommandedCompliance {
                     let numbers = |set: usize| results.numbers(set, lines[set][k].clone());
                     let comparison = Comparison::new(section.by_set(numbers));
                     let condition = gait(*speed).to_owned() + &axis.replace(' ', ", ");
-                    rows.push(Row { condition, quantity, paper: String::new(), comparison: comparison.clone() });
+                    rows.push(Row::new(condition, quantity, comparison.clone()));
                     let bound = match (quantity, over) {
                         (SLOPE_ERROR, Over::All) => SLOPE_BOUNDS[0],
                         (SLOPE_ERROR, Over::Axis(_)) => SLOPE_BOUNDS[1],

@@ -128,11 +128,6 @@ impl Group {
     }
 }
 
-/// Returns a forward command in words.
-fn speed(command_m_s: f64) -> String {
-    if command_m_s == 0.0 { gait(command_m_s).to_owned() } else { format!("{command_m_s} m/s") }
-}
-
 impl Felt {
     /// Returns the conditions by group, in their order.
     fn groups(&self) -> Result<Vec<Group>, ConfigError> {
@@ -154,7 +149,8 @@ impl Felt {
         let mut groups = Vec::new();
         for command in &self.commands_m_s {
             let each = pairs(&self.forces_n, &evenly(self.directions));
-            groups.push(Group::new(format!("pulled, {}", speed(*command)), Role::Steady, each, |(force, side)| {
+            let speed = if *command == 0.0 { gait(0.0).to_owned() } else { format!("{command} m/s") };
+            groups.push(Group::new(format!("pulled, {speed}"), Role::Steady, each, |(force, side)| {
                 (format!("{force} N, {side:.0}°"), pull(*command, force, side, 0.0))
             }));
         }
@@ -310,12 +306,11 @@ impl Experiment for Felt {
             (role, ConditionGroup::new(name, indices.by_ref().take(conditions.len())))
         });
         let located: Vec<(Role, ConditionGroup)> = located.collect();
-        let over = |roles: &[Role]| -> Vec<usize> {
-            let chosen = located.iter().filter(|(role, _)| roles.contains(role));
-            chosen.flat_map(|(_, group)| group.conditions.iter().copied()).collect()
-        };
         let is_pulled = |role: Role| matches!(role, Role::Steady | Role::Pulled);
-        let [steady, calm, rough] = [Role::Steady, Role::Calm, Role::Rough].map(|role| over(&[role]));
+        let [steady, calm, rough] = [Role::Steady, Role::Calm, Role::Rough].map(|chosen| -> Vec<usize> {
+            let groups = located.iter().filter(|(role, _)| *role == chosen);
+            groups.flat_map(|(_, group)| group.conditions.iter().copied()).collect()
+        });
         let [mean_n, sd_n] = CALM_BOUNDS_N;
         let is_on_sensors = results.names.iter().map(String::as_str).eq(sensing::NAMES);
         for (place, text, quantity, [bound, on_sensors], over) in [
@@ -333,10 +328,8 @@ impl Experiment for Felt {
             let comparison = results.compare_over(over, quantity.name);
             if let (true, Some(found)) = (is_on_sensors, comparison.sets[0].spread) {
                 let (label, found) = (quantity.label, number(found.mean, quantity));
-                section
-                    .content
-                    .notes
-                    .extend([format!("{place}, on sensors: {label} {found} N; aim: < {on_sensors} N.")]);
+                let note = format!("{place}, on sensors: {label} {found} N; aim: < {on_sensors} N.");
+                section.content.notes.push(note);
             }
             let text = format!("{place}, {text} below {bound} N");
             section.content.claims.push(Claim::below(bound, text, "", quantity, comparison));

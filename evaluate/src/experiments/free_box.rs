@@ -44,11 +44,10 @@ impl FreeBox {
             let [forward, left, _] = frame.velocity_in_heading;
             metrics::in_world([forward, left], frame.roll_pitch_yaw[2])
         };
-        let [ahead, left] = [0, 1].map(|axis| metrics::mean(frames.clone(), |frame| velocity(frame)[axis]));
+        let mean = |axis: usize| metrics::mean(frames.clone(), |frame| velocity(frame)[axis]);
         let command = script.command;
-        ahead
-            .zip(left)
-            .is_some_and(|(ahead, left)| (ahead - command.forward).hypot(left - command.left) < self.resumed_m_s)
+        let is_near = |(ahead, left)| f64::hypot(ahead - command.forward, left - command.left) < self.resumed_m_s;
+        mean(0).zip(mean(1)).is_some_and(is_near)
     }
 
     /// Returns the runs of a set at the first friction, for the figure.
@@ -81,9 +80,11 @@ fn flat_pose(pose: &Pose) -> Vec<f32> {
 /// Returns the points of the figure: the robot's paths, and the poses of the box before and after.
 fn paths_and_boxes(views: &[View]) -> [Lines; 2] {
     let lines = |of: fn(&Run) -> Vec<Vec<f64>>| {
-        let runs =
-            views.iter().flat_map(|view| view.runs.iter().enumerate().map(move |(trial, run)| (view, trial, run)));
-        runs.map(|(view, trial, run)| Line { label: format!("{}, trial {trial}", view.title), rows: of(run) }).collect()
+        let runs = |View { title, runs }: &View| {
+            let line = |(trial, run)| Line { label: format!("{title}, trial {trial}"), rows: of(run) };
+            runs.iter().enumerate().map(line).collect::<Vec<_>>()
+        };
+        views.iter().flat_map(runs).collect()
     };
     let paths = lines(|run| run.path.iter().map(|point| point.to_vec()).collect());
     let boxes = lines(|run| vec![run.first.to_vec(), run.last.to_vec()]);

@@ -39,13 +39,9 @@ impl Experiment for Outdoor {
     }
 
     fn measure(&self, trial: &Trial) -> TrialValues {
-        vec![
-            indicator(trial.is_upright()),
-            trial.velocity_error(),
-            trial.upright_metric("power_w"),
-            trial.upright_metric("steepest_met_percent").map(|percent| 0.01 * percent),
-        ]
-        .into()
+        let mut found = trial.upright_metrics(QUANTITIES);
+        found.values[3] = trial.upright_metric("steepest_met_percent").map(|percent| 0.01 * percent);
+        found
     }
 
     fn report(&self, section: &mut SectionBuilder) {

@@ -59,31 +59,22 @@ impl PushGrid {
     /// Compares a number of the map of all seeds together; the interval of its difference is over pairs of seeds.
     fn compare(&self, results: &Results, number: impl Fn(&SquareGrid) -> f64) -> Comparison {
         let pooled = |set: usize| {
-            let seeds = results.sets[set].len();
-            let mean = number(&self.map(results, set));
-            Numbers {
-                spread: (seeds > 0).then_some(Spread { mean, sd: None, seeds }),
-                ..results.numbers(set, PerSeed::new())
-            }
+            let (seeds, mean) = (results.sets[set].len(), number(&self.map(results, set)));
+            let spread = (seeds > 0).then_some(Spread { mean, sd: None, seeds });
+            Numbers { spread, ..results.numbers(set, PerSeed::new()) }
         };
         // Resampling reads the map of each seed many times.
         let common = results.common_seeds();
-        let maps: Vec<[Vec<f64>; 2]> = common
-            .iter()
-            .map(|seed| [0, 1].map(|set| self.success(results, set, std::slice::from_ref(seed)).values))
-            .collect();
+        let maps = common.iter().map(|seed| [0, 1].map(|set| self.success(results, set, &[*seed]).values));
+        let maps: Vec<[Vec<f64>; 2]> = maps.collect();
         let of_resample = |chosen: &[usize], set: usize| {
             let points = 0..results.conditions.len();
             let values = points.map(|p| chosen.iter().map(|s| maps[*s][set][p]).sum::<f64>() / chosen.len() as f64);
             number(&self.grid(values.collect()))
         };
         let both = |chosen: &[usize]| (!chosen.is_empty()).then(|| [0, 1].map(|set| of_resample(chosen, set)));
-        Comparison {
-            sets: (0..results.sets.len()).map(pooled).collect(),
-            difference: estimate(common.len(), |chosen| both(chosen).map(|[a, b]| a - b)),
-            relative: None,
-            trials: None,
-        }
+        let difference = estimate(common.len(), |chosen| both(chosen).map(|[a, b]| a - b));
+        Comparison { sets: (0..results.sets.len()).map(pooled).collect(), difference, relative: None, trials: None }
     }
 
     /// Compares a number of each seed's own map.
@@ -142,16 +133,10 @@ impl Experiment for PushGrid {
         let fraction = |grid: &SquareGrid| grid.fraction_at_least(self.level);
         let overall = |grid: &SquareGrid| mean(grid.values.iter().copied()).unwrap_or(0.0);
         let pooled = self.compare(results, fraction);
-        let row = |quantity, paper: &str, comparison| Row {
-            condition: String::new(),
-            quantity,
-            paper: paper.to_owned(),
-            comparison,
-        };
         let rows = vec![
-            row(FRACTION, "78 / 73", pooled.clone()),
-            row(FRACTION_BY_SEED, "", self.compare_by_seed(results, fraction)),
-            row(MEAN_SUCCESS, "", self.compare_by_seed(results, overall)),
+            Row { paper: "78 / 73".into(), ..Row::new("", FRACTION, pooled.clone()) },
+            Row::new("", FRACTION_BY_SEED, self.compare_by_seed(results, fraction)),
+            Row::new("", MEAN_SUCCESS, self.compare_by_seed(results, overall)),
         ];
         let level = 100.0 * self.level;
         let title = format!("Push recovery: fraction of grid points with a success rate of at least {level:.0} %.");
@@ -159,10 +144,11 @@ impl Experiment for PushGrid {
         section.table_in_file("points", "Success rate at every grid point (forward, left).");
 
         let maps = section.by_set(|set| self.map(results, set));
-        let titled = maps
+        let titled = results
+            .names
             .iter()
-            .zip(&results.names)
-            .map(|(grid, name)| Map { title: format!("{name}: {:.1} % of grid points", 100.0 * fraction(grid)), grid });
+            .zip(&maps)
+            .map(|(name, grid)| Map { title: format!("{name}: {:.1} % of grid points", 100.0 * fraction(grid)), grid });
         let svg = heatmap::draw(
             "Success after a push, by the push's forward and left part",
             &titled.collect::<Vec<_>>(),

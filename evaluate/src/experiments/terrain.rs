@@ -39,16 +39,6 @@ impl Experiment for Terrain {
         }))
     }
 
-    fn measure(&self, trial: &Trial) -> TrialValues {
-        vec![
-            indicator(trial.is_upright()),
-            trial.velocity_error(),
-            trial.upright_metric("peak_foot_force_n"),
-            trial.upright_metric("power_w"),
-        ]
-        .into()
-    }
-
     fn report(&self, section: &mut SectionBuilder) {
         section.table("Walking over Perlin terrain, by height (peak to peak) and frequency.");
         section.dots(

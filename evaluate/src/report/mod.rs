@@ -80,18 +80,14 @@ impl Section {
         let results = &measurement.results;
         let mut content = experiment.content(results);
         let ends: Vec<EndCounts> = (0..results.sets.len()).map(|set| results.ends(set)).collect();
-        for (name, ends) in results.names.iter().zip(&ends) {
-            if ends.trials > 0 && ends.falls == ends.trials {
-                content.notes.push(format!(
-                    "{name} fell in every trial: quantities that a fall leaves undefined are shown as –."
-                ));
+        for (name, EndCounts { trials, falls, out_of_reach, .. }) in results.names.iter().zip(&ends) {
+            if *trials > 0 && falls == trials {
+                let words = "fell in every trial: quantities that a fall leaves undefined are shown as –.";
+                content.notes.push(format!("{name} {words}"));
             }
-            if ends.out_of_reach > 0 {
-                content.notes.push(format!(
-                    "{} of {} trials of {name} were not played: some of its policies do not support the commanded compliance.",
-                    ends.out_of_reach,
-                    ends.out_of_reach + ends.trials
-                ));
+            if *out_of_reach > 0 {
+                let words = "were not played: some of its policies do not support the commanded compliance.";
+                content.notes.push(format!("{out_of_reach} of {} trials of {name} {words}", out_of_reach + trials));
             }
         }
         content.notes.extend((0..results.sets.len()).filter_map(|set| results.faults(set)));
@@ -205,10 +201,8 @@ impl<'a> Report<'a> {
                 write(&tables.join(format!("{}.csv", lines.name)), csv_tables::points_csv(lines).as_bytes())?;
             }
         }
-        if !self.sensing.experiments.is_empty() {
-            for (table, names) in self.sensing.tables() {
-                write_table(&tables, table, &names)?;
-            }
+        for (table, names) in self.sensing.tables() {
+            write_table(&tables, table, &names)?;
         }
         write(&tables.join("claims.csv"), csv_tables::claims_csv(self).as_bytes())?;
         write(&tables.join("claims.md"), markdown::claims(self).as_bytes())?;
