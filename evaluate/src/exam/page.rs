@@ -49,10 +49,10 @@ pub fn score_text(score: Score) -> String {
 /// Returns the scores as a table of plain text, one line for each discipline if `width` allows it.
 pub fn text(examination: &Examination, width: usize) -> String {
     let row = |first: &str, cells: Vec<String>| [vec![first.to_owned()], cells].concat();
-    let millions =
+    let samples =
         |set: &Training| set.millions().map_or(NOTHING.to_owned(), |millions| format!("{millions} M samples"));
-    let mut rows = vec![row("", examination.names.clone())];
-    rows.push(row("trained", examination.training.iter().map(millions).collect()));
+    let trained = row("trained", examination.training.iter().map(samples).collect());
+    let mut rows = vec![row("", examination.names.clone()), trained];
     let grades = examination.grades.iter();
     rows.extend(grades.map(|it| row(it.discipline, it.scores.iter().map(|score| score_text(*score)).collect())));
     plain_text::table(&rows, width)

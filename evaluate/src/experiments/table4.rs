@@ -61,13 +61,8 @@ impl Experiment for Table4 {
 
     fn measure(&self, trial: &Trial) -> TrialValues {
         let Some(push) = trial.script.pushes().next() else { return vec![None; QUANTITIES.len()].into() };
-        let trace = trial.trace;
         // The trace of a fallen robot ends with the fall.
-        let reaches = |time_s: f64| trace.frames.last().is_some_and(|f| f.time_s + 0.5 * trace.period_s > time_s);
-        let window = |from_s: f64| {
-            let until_s = from_s + self.window_s;
-            reaches(until_s).then(|| metrics::window(trace, from_s, until_s))
-        };
+        let window = |from_s: f64| metrics::whole_window(trial.trace, from_s, from_s + self.window_s);
         let [before, after] = [push.at_s - self.window_s, push.at_s].map(window);
         let of = |quantity: fn(&Frame) -> f64| {
             let [before, after] = [before.clone(), after.clone()].map(|frames| metrics::mean(frames?, quantity));

@@ -15,11 +15,9 @@ pub struct Panel {
 impl Panel {
     /// Converts a point from data coordinates to pixels.
     pub fn at(&self, point: [f64; 2]) -> [f64; 2] {
-        let part = |value: f64, [low, high]: [f64; 2]| (value - low) / (high - low);
-        [
-            self.corner[0] + self.size[0] * part(point[0], self.x),
-            self.corner[1] + self.size[1] * (1.0 - part(point[1], self.y)),
-        ]
+        let part = |axis: usize, [low, high]: [f64; 2]| (point[axis] - low) / (high - low);
+        let parts = [part(0, self.x), 1.0 - part(1, self.y)];
+        [0, 1].map(|axis| self.corner[axis] + self.size[axis] * parts[axis])
     }
 
     /// Returns a column of the points of a curve (x, mean, least, largest) in pixels.
@@ -52,11 +50,8 @@ impl Panel {
         self.draw_frame(svg);
         svg.text([0.5 * (left + right), bottom + 35.0], x_label, Text::new(SMALL, Anchor::Middle));
         if let Some(label) = y_label {
-            svg.text(
-                [left - 42.0, 0.5 * (top + bottom)],
-                label,
-                Text { upwards: true, ..Text::new(SMALL, Anchor::Middle) },
-            );
+            let style = Text { upwards: true, ..Text::new(SMALL, Anchor::Middle) };
+            svg.text([left - 42.0, 0.5 * (top + bottom)], label, style);
         }
     }
 
