@@ -85,9 +85,9 @@ impl SensingComparison {
         self.experiments.push(info.name);
         self.wall_s += estimated.wall_s;
         for (set, name) in self.set_names.iter().enumerate() {
-            let names = NAMES.map(ToOwned::to_owned).into();
-            let sets = vec![estimated.results.sets[set].clone(), truth.results.sets[set].clone()];
-            let results = Results { names, sets, ..truth.results.clone() };
+            let sets = [estimated, truth].map(|measured| measured.results.sets[set].clone()).into();
+            let (conditions, quantities) = (truth.results.conditions.clone(), truth.results.quantities);
+            let results = Results { names: NAMES.map(ToOwned::to_owned).into(), conditions, quantities, sets };
             let content = experiment.content(&results);
             let of = format!("{} {}, {name}", info.id, info.name);
             let EndCounts { faults, trials, .. } = results.ends(0);

@@ -9,49 +9,25 @@ use supple::scenario::Script;
 use supple::scenario::catalog::{Leash, Pendulum, Pulley, PushTrunk, TerrainKind, UnevenGround, Walk};
 use supple::scenario::trace::{Felt as FeltForces, Frame};
 
-/// The error of the felt force while something pulls.
-const RMSE: Quantity = Quantity::new("rmse_n", "felt against true force, RMSE", "N", 2);
-
-/// The larger of the mean forces forward and left that are felt without a pull.
-const MEAN: Quantity = Quantity::new("mean_n", "mean", "N", 2);
-
-/// The larger of the standard deviations forward and left without a pull.
-const SD: Quantity = Quantity::new("sd_n", "standard deviation", "N", 2);
-
-/// The horizontal force that is exceeded for 5 % of the time without a pull.
-const Q95: Quantity = Quantity::new("q95_n", "95 % quantile", "N", 2);
-
-/// The fraction of the frames in which the observer says not to trust it.
-const IN_DOUBT: Quantity = Quantity::new("in_doubt", "frames in doubt", "%", 1);
-
 const QUANTITIES: &[Quantity] = &[
-    RMSE,
+    Quantity::new("rmse_n", "felt against true force, RMSE", "N", 2),
     Quantity::new("felt_n", "felt along the true force", "N", 1),
     Quantity::new("gain", "felt over true force", "", 2),
-    MEAN,
-    SD,
-    Q95,
+    Quantity::new("mean_n", "mean", "N", 2),
+    Quantity::new("sd_n", "standard deviation", "N", 2),
+    Quantity::new("q95_n", "95 % quantile", "N", 2),
     Quantity::new("mean_forward_n", "mean, forward", "N", 2),
     Quantity::new("mean_left_n", "mean, left", "N", 2),
     Quantity::new("mean_up_n", "mean, up", "N", 2),
     Quantity::new("sd_forward_n", "standard deviation, forward", "N", 2),
     Quantity::new("sd_left_n", "standard deviation, left", "N", 2),
     Quantity::new("sd_up_n", "standard deviation, up", "N", 2),
-    IN_DOUBT,
+    Quantity::new("in_doubt", "frames in doubt", "%", 1),
     FELL,
 ];
 
 /// The number of quantities of pulled robots; those of robots without a pull follow.
 const OF_PULLS: usize = 3;
-
-/// The bounds on the error while pulled, for robots that act on the true state and on their sensors \[N\].
-const RMSE_BOUNDS_N: [f64; 2] = [1.5, 3.0];
-
-/// The bounds on mean and standard deviation of the force that is felt without a pull, on the flat \[N\].
-const CALM_BOUNDS_N: [f64; 2] = [0.5, 1.0];
-
-/// The bound on the 95 % quantile on balls, blocks and uneven ground \[N\].
-const ROUGH_BOUND_N: f64 = 5.0;
 
 /// The time after which a pull is steady: five time constants of the felt force \[s\].
 const STEADY_S: f64 = 0.5;
@@ -311,21 +287,27 @@ impl Experiment for Felt {
             let groups = located.iter().filter(|(role, _)| *role == chosen);
             groups.flat_map(|(_, group)| group.conditions.iter().copied()).collect()
         });
-        let [mean_n, sd_n] = CALM_BOUNDS_N;
         let is_on_sensors = results.names.iter().map(String::as_str).eq(sensing::NAMES);
+        // The bounds are those of robots that act on the true state, and on their sensors [N].
         for (place, text, quantity, [bound, on_sensors], over) in [
-            ("Pulled steadily", "robots of both sets feel the force with an RMSE", RMSE, RMSE_BOUNDS_N, &steady),
-            ("Undisturbed on the flat", "robots of both sets feel a mean force", MEAN, [mean_n; 2], &calm),
-            ("Undisturbed on the flat", "the felt force of both sets has a standard deviation", SD, [sd_n; 2], &calm),
+            ("Pulled steadily", "robots of both sets feel the force with an RMSE", "rmse_n", [1.5, 3.0], &steady),
+            ("Undisturbed on the flat", "robots of both sets feel a mean force", "mean_n", [0.5; 2], &calm),
+            (
+                "Undisturbed on the flat",
+                "the felt force of both sets has a standard deviation",
+                "sd_n",
+                [1.0; 2],
+                &calm,
+            ),
             (
                 "On balls, rubble and uneven ground",
                 "what robots of both sets feel beyond the true force is for 95 % of the time",
-                Q95,
-                [ROUGH_BOUND_N; 2],
+                "q95_n",
+                [5.0; 2],
                 &rough,
             ),
         ] {
-            let comparison = results.compare_over(over, quantity.name);
+            let (comparison, quantity) = (results.compare_over(over, quantity), results.quantity(quantity));
             if let (true, Some(found)) = (is_on_sensors, comparison.sets[0].spread) {
                 let (label, found) = (quantity.label, number(found.mean, quantity));
                 let note = format!("{place}, on sensors: {label} {found} N; aim: < {on_sensors} N.");
@@ -336,7 +318,8 @@ impl Experiment for Felt {
         }
         let rows = located.iter().flat_map(|(role, group)| {
             let of = if is_pulled(*role) { 0..OF_PULLS } else { OF_PULLS..OF_PULLS + 3 };
-            let quantities = QUANTITIES[of].iter().chain([&IN_DOUBT, &FELL]).filter(|it| it.name != "felt_n");
+            let of_all = &QUANTITIES[QUANTITIES.len() - 2..];
+            let quantities = QUANTITIES[of].iter().chain(of_all).filter(|it| it.name != "felt_n");
             quantities.map(|quantity| section.row(group, *quantity)).collect::<Vec<_>>()
         });
         let rows = rows.collect();
@@ -378,7 +361,7 @@ impl Experiment for Felt {
         section.polar(
             "directions",
             "RMSE of the felt against the true force under steady pulls, by the direction of the pull",
-            (RMSE.name, &RMSE.axis()),
+            ("rmse_n", &results.quantity("rmse_n").axis()),
             (&by_gait, self.directions),
             Scales::Shared,
             "Means are over forces and commands.",
@@ -389,7 +372,7 @@ impl Experiment for Felt {
             "unpulled",
             "What robots feel beyond the true force on the trunk though nothing pulls",
             &unpulled,
-            &[MEAN.name, SD.name, Q95.name],
+            &["mean_n", "sd_n", "q95_n"],
             "Mean and standard deviation are the larger of forward and left, the quantile is of the horizontal force.",
         );
     }

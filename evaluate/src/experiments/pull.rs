@@ -3,8 +3,7 @@
 use super::leash::pulls;
 use super::prelude::*;
 
-const SURVIVED: Quantity = Quantity::new("survived", "survived", "%", 0);
-const QUANTITIES: &[Quantity] = &[SURVIVED];
+const QUANTITIES: &[Quantity] = &[Quantity::new("survived", "survived", "%", 0)];
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -43,21 +42,21 @@ impl Experiment for PullSurvival {
         let forces = section.groups(&self.forces_n, |force| format!("{force} N"));
         let text =
             format!("Pulled from any side for {} s, compliant policies stay on their feet more often", self.for_s);
-        section.claim(&text, "", SURVIVED.name, Higher, &section.all());
+        section.claim(&text, "", "survived", Higher, &section.all());
         section.table_with_rows("Sustained pulls survived, by force: mean over all directions.", section.rows(&forces));
         section.table_in_file("all", "Sustained pulls survived, by force and direction.");
         section.grouped_dots(
             "",
             "Sustained pulls survived while walking at 0.5 m/s, by force, over all directions",
             &forces,
-            &[SURVIVED.name],
+            &["survived"],
             "",
         );
         let all = ConditionGroup::new("", section.all());
         section.polar(
             "directions",
             "Sustained pulls survived while walking at 0.5 m/s, by the direction they pull to",
-            (SURVIVED.name, "survived [%], mean over all forces"),
+            ("survived", "survived [%], mean over all forces"),
             (&[all], self.directions),
             Scales::Percent,
             "The band is cut off at 0 and 100 %.",

@@ -11,12 +11,11 @@ use supple::scenario::Script;
 use supple::scenario::catalog::PushTrunk;
 use supple::scenario::metrics::PHASE_S;
 
-const SUCCESS: Quantity = Quantity::new("success", "success rate", "%", 0);
 const FRACTION: Quantity = Quantity::new("share_of_grid", "grid points with enough success", "%", 1);
 const FRACTION_BY_SEED: Quantity =
     Quantity::new("share_of_grid_by_seed", "grid points with enough success, for each seed alone", "%", 1);
 const MEAN_SUCCESS: Quantity = Quantity::new("mean_success", "success rate over the whole grid", "%", 1);
-const QUANTITIES: &[Quantity] = &[SUCCESS];
+const QUANTITIES: &[Quantity] = &[Quantity::new("success", "success rate", "%", 0)];
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
