@@ -127,10 +127,7 @@ pub fn jobs<'a>(
 }
 
 /// Returns the results of an experiment; none if some are not measured yet.
-///
-/// # Errors
-/// A scenario file inside the program is invalid, which a test rules out.
-pub fn finished(
+pub(crate) fn finished(
     experiment: &dyn Experiment,
     policies: &PolicySets,
     store: &MeasurementStore,

@@ -154,16 +154,17 @@ pub fn trial_seed(seed: u64, experiment: u32, condition: usize, trial: u32) -> u
 }
 
 /// Returns the scenario with its disturbance delayed by a random time, so that it comes at any phase of the gait.
-pub fn vary(scenario: &Scenario, seed: u64) -> Scenario {
+fn vary(scenario: &Scenario, seed: u64) -> Scenario {
     scenario.later(PHASE_S * stream(seed, Purpose::Scenario, 0, 2).random_range(0.0..1.0))
 }
 
 /// Returns the scenario and the script of a trial; none if the policy does not support its compliance, which is that behind the
 /// policy's name where the condition commands none.
-///
-/// # Errors
-/// A parameter of the scenario or the robot is invalid.
-pub fn set_up(condition: &Condition, seed: u64, agent: &Agent) -> Result<Option<(Scenario, Script)>, TrialError> {
+pub(crate) fn set_up(
+    condition: &Condition,
+    seed: u64,
+    agent: &Agent,
+) -> Result<Option<(Scenario, Script)>, TrialError> {
     let scenario = vary(&condition.scenario, seed);
     let mut script = scenario.script(seed, &agent.config)?;
     let Ok(compliance) = agent.resolve_compliance(script.command.compliance, None) else { return Ok(None) };
@@ -222,7 +223,7 @@ impl Beginnings {
 /// Plays a trial of an experiment by its index over all conditions, each with all its trials, with a policy of a `seed`.
 ///
 /// # Errors
-/// The same as those of [`play`].
+/// A parameter of the scenario or the robot is invalid, the scene does not compile, or sensing cannot be simulated.
 pub fn play_at(
     index: usize,
     experiment: &dyn Experiment,
@@ -241,10 +242,7 @@ pub fn play_at(
 /// Plays a trial of an experiment; the compliance behind the policy's name is commanded where the condition requires none.
 /// On the true state, where nothing is random before the disturbance, trials share `beginnings` of the same policy and experiment,
 /// which gives the same bits sooner.
-///
-/// # Errors
-/// A parameter of the scenario or the robot is invalid, the scene does not compile, or sensing cannot be simulated.
-pub fn play(
+fn play(
     experiment: &dyn Experiment,
     condition: &Condition,
     seed: u64,

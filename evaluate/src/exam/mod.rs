@@ -54,6 +54,9 @@ enum Pass {
     Yields,
 }
 
+use Pass::{Is, Tracks, Yields};
+use Way::{Losses, Nominal, Sensors};
+
 impl Pass {
     /// Returns whether a trial is passed; none if it does not count. A trial that failed, or whose compliance the policy does not
     /// support, is not passed.
@@ -72,9 +75,6 @@ impl Pass {
         Some(passed && matches!(sample.end, TrialEnd::Upright))
     }
 }
-
-use Pass::{Is, Tracks, Yields};
-use Way::{Losses, Nominal, Sensors};
 
 /// A discipline of the examination.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -253,7 +253,12 @@ impl Exam {
         let nominal = PolicySets::from_paths(&sets)?;
         let cannot_sense = cannot_sense(&nominal);
         let can_sense = cannot_sense.is_none();
-        let notes = nominal.notes.iter().cloned().chain(cannot_sense.or_else(|| unfamiliar_gaits(&nominal))).collect();
+        let of_gaits = || {
+            // Without a network the trials on sensors fail, with the reason.
+            let members = nominal.members().map(|(set, member)| (set.name.clone(), member.agent.sha256.as_str()));
+            ContactNetwork::shipped().ok()?.unfamiliar(members)
+        };
+        let notes = nominal.notes.iter().cloned().chain(cannot_sense.or_else(of_gaits)).collect();
         let mut of_true_state = protocol.clone();
         of_true_state.walk.trials = 1;
         Ok(Exam { notes, protocol, of_true_state, nominal, with_losses, can_sense })
@@ -318,13 +323,6 @@ fn cannot_sense(policies: &PolicySets) -> Option<String> {
     let (PolicySet { name, .. }, member) = policies.members().find(|(_, member)| rate_hz(member) != RATE_HZ)?;
     let rates = format!("the physics of {name} run at {} Hz, the contact network at {RATE_HZ} Hz", rate_hz(member));
     Some(format!("no policy is graded on sensors: {rates}"))
-}
-
-/// Returns a note that names the policies whose gait the contact network was not trained on; none if it knows all.
-fn unfamiliar_gaits(policies: &PolicySets) -> Option<String> {
-    // Without a network the trials on sensors fail, with the reason.
-    let network = ContactNetwork::shipped().ok()?;
-    network.unfamiliar(policies.members().map(|(set, member)| (set.name.clone(), member.agent.sha256.as_str())))
 }
 
 #[cfg(test)]

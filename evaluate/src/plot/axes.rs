@@ -1,7 +1,7 @@
 //! Rectangular panels (data to pixels, grid lines, ticks, labels), legends and marks.
 
 use super::svg::{Anchor, Stroke, Svg, Text};
-use super::{GREY, INK, LARGE, PALE, SMALL, colour, line};
+use super::{GREY, LARGE, PALE, SMALL, colour, line};
 
 /// A rectangle of a figure, from its upper left corner \[px\], with the data ranges along x and, upwards, along y.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -94,13 +94,6 @@ pub fn draw_mark(svg: &mut Svg, [x, y]: [f64; 2], set: usize, radius: f64, fille
     };
     svg.area(&[corners], fill, 1.0);
     svg.outline(corners, stroke);
-}
-
-pub fn draw_cross(svg: &mut Svg, centre: [f64; 2], radius: f64) {
-    let [x, y] = centre;
-    for sign in [-1.0, 1.0] {
-        svg.line([x - radius, y - sign * radius], [x + radius, y + sign * radius], Stroke::new(INK, 1.5));
-    }
 }
 
 /// Returns about `count` round numbers within a range.

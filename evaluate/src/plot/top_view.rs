@@ -25,7 +25,9 @@ pub struct View {
 
 /// Draws all views on one scale, with equal lengths along both axes.
 pub fn draw(title: &str, views: &[View], box_size_m: f64) -> String {
-    let points = || views.iter().flat_map(|view| &view.runs).flat_map(|run| corners_and_path(run, box_size_m));
+    let boxes = |run: &Run| [run.first, run.last].map(|pose| corners(pose, box_size_m)).concat();
+    let of_run = |run: &Run| [&run.path[..], &boxes(run)].concat();
+    let points = || views.iter().flat_map(|view| &view.runs).flat_map(of_run);
     let range = |axis: usize| {
         points().map(|point| point[axis]).fold([-0.4_f64, 0.4], |[low, high], v| [low.min(v - 0.1), high.max(v + 0.1)])
     };
@@ -50,13 +52,6 @@ pub fn draw(title: &str, views: &[View], box_size_m: f64) -> String {
     svg.finish(title)
 }
 
-fn corners_and_path(run: &Run, size_m: f64) -> Vec<[f64; 2]> {
-    let mut points = run.path.clone();
-    points.extend(corners(run.first, size_m));
-    points.extend(corners(run.last, size_m));
-    points
-}
-
 fn corners([x, y, yaw]: BoxPose, size_m: f64) -> [[f64; 2]; 4] {
     let half = 0.5 * size_m;
     [[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]].map(|[u, v]: [f64; 2]| {
@@ -78,6 +73,9 @@ fn draw_run(svg: &mut Svg, panel: &Panel, run: &Run, set: usize, size_m: f64, in
         svg.polyline(&pixels(&run.path), Stroke::new(colour(set), 1.0).faint(0.45));
     }
     if let (true, Some(end)) = (run.fell, run.path.last()) {
-        super::axes::draw_cross(svg, panel.at(*end), if in_full { 5.0 } else { 3.5 });
+        let ([x, y], radius) = (panel.at(*end), if in_full { 5.0 } else { 3.5 });
+        for rise in [-radius, radius] {
+            svg.line([x - radius, y - rise], [x + radius, y + rise], Stroke::new(INK, 1.5));
+        }
     }
 }

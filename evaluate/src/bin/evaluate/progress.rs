@@ -12,9 +12,6 @@ use supple_evaluate::runner::{self, Job, RunError, Update};
 const STEPS: f64 = 1000.0;
 
 /// Runs all jobs with a bar of what is left, and prints a line with the same after each of them.
-///
-/// # Errors
-/// A trial cannot be played, or the results cannot be written.
 pub fn run(jobs: &[Job]) -> Result<(), RunError> {
     let steps = |cost_s: f64| (STEPS * cost_s) as u64;
     let bar = progress(jobs.iter().map(|job| steps(job.work.cost_s)).sum());
