@@ -107,32 +107,20 @@ pub struct PolicySets {
 }
 
 impl PolicySets {
-    /// Reads policies `NAME-seedN.safetensors` and external ones `NAME-seedN.yaml` of several names from one folder, and further
-    /// sets by name and path.
+    /// Reads policies `NAME-seedN.safetensors` and external ones `NAME-seedN.yaml` of several names from one folder, or those inside
+    /// the program if it is none, and further sets by name and path.
     ///
     /// # Errors
     /// A folder or policy cannot be read, a set has no policy or two of one seed, or a policy does not support the commanded
     /// compliance.
-    pub fn from_folder(folder: &Path, names: &[String], also: &[(String, PathBuf)]) -> Result<Self, PolicySetError> {
-        Self::from_files(folder, policy_files(folder)?, names, also)
-    }
-
-    /// Reads the policies inside the program by the names of their sets, and further sets by name and path.
-    ///
-    /// # Errors
-    /// The same as those of [`PolicySets::from_folder`].
-    pub fn from_shipped(names: &[String], also: &[(String, PathBuf)]) -> Result<Self, PolicySetError> {
-        let of_sets = shipped::EMBEDDED.iter().filter(|(name, _)| !name.contains('/'));
-        let files = of_sets.map(|(name, _)| name.into()).collect();
-        Self::from_files(Path::new("the policies inside this program"), files, names, also)
-    }
-
-    fn from_files(
-        folder: &Path,
-        all: Vec<PathBuf>,
+    pub fn from_folder(
+        folder: Option<&Path>,
         names: &[String],
         also: &[(String, PathBuf)],
     ) -> Result<Self, PolicySetError> {
+        let shipped = shipped::EMBEDDED.iter().filter(|(name, _)| !name.contains('/')).map(|(name, _)| name.into());
+        let all = folder.map_or_else(|| Ok(shipped.collect()), policy_files)?;
+        let folder = folder.unwrap_or(Path::new("the policies inside this program"));
         let (mut files, mut left_out) = (vec![Vec::new(); names.len()], Vec::new());
         for file in all {
             match names.iter().enumerate().find_map(|(set, name)| Some((set, seed_of(name, &file)?))) {

@@ -63,13 +63,9 @@ fn run(args: &Args) -> anyhow::Result<()> {
     failed.iter().for_each(|error| terminal::note(format_args!("warning: {}", terminal::complaint(error))));
     let claims = text::claims(&report, columns(std::io::stdout()));
     terminal::print(format_args!("{claims}\n{}\n", args.out.join("report.html").display()))?;
-    match faults.split_last() {
-        None => Ok(()),
-        Some((last, others)) => {
-            others.iter().for_each(|fault| terminal::note(format_args!("error: {fault}")));
-            anyhow::bail!("{last}")
-        }
-    }
+    let Some((last, others)) = faults.split_last() else { return Ok(()) };
+    others.iter().for_each(|fault| terminal::note(format_args!("error: {fault}")));
+    anyhow::bail!("{last}")
 }
 
 /// Makes the folder of the report and starts the threads.
@@ -115,15 +111,10 @@ fn examine(policy: &Path, args: &Args) -> anyhow::Result<()> {
     options.extend(["--out".to_owned(), shell_word(&args.out)]);
     let command = CommandLine { experiments: Vec::new(), options };
     page::save(&examination, film.as_ref(), &command.text(None), &args.out)?;
-    terminal::print(format_args!(
-        "{}\n{}\n",
-        page::text(&examination, columns(std::io::stdout())),
-        args.out.join("exam.html").display()
-    ))?;
-    match &examination.faults[..] {
-        [] => Ok(()),
-        faults => anyhow::bail!("{}", faults.join("\n")),
-    }
+    let scores = page::text(&examination, columns(std::io::stdout()));
+    terminal::print(format_args!("{scores}\n{}\n", args.out.join("exam.html").display()))?;
+    anyhow::ensure!(examination.faults.is_empty(), "{}", examination.faults.join("\n"));
+    Ok(())
 }
 
 /// Returns the protocol and its name in the report.
@@ -159,10 +150,7 @@ fn policies(args: &Args, also: &[(String, PathBuf)]) -> anyhow::Result<PolicySet
             let pair = [(first.clone(), a.clone()), (second.clone(), b.clone())];
             PolicySets::from_paths(&[&pair[..], also].concat())?
         }
-        _ => match args.folder() {
-            Some(folder) => PolicySets::from_folder(&folder, &names, also)?,
-            None => PolicySets::from_shipped(&names, also)?,
-        },
+        _ => PolicySets::from_folder(args.folder().as_deref(), &names, also)?,
     };
     if let Some(joints) = args.joints {
         policies.set_losses(joints.into());
