@@ -127,24 +127,19 @@ impl Results {
 
     /// Describes the faults in the trials of a set: how many there were, and which was the first; `None` if there were none.
     pub fn faults(&self, set: usize) -> Option<String> {
-        let name = &self.names[set];
-        let EndCounts { trials, faults, .. } = self.ends(set);
-        let mut first = self.sets[set].iter().flat_map(|(seed, policy)| {
-            policy.iter().zip(&self.conditions).flat_map(move |(samples, condition)| {
-                let faulty = samples.iter().enumerate().filter(|(_, sample)| sample.end == TrialEnd::Fault);
-                faulty.map(move |(trial, sample)| {
-                    let label = &condition.label;
-                    let label = if label.is_empty() { String::new() } else { format!("condition {label}, ") };
-                    let reason = sample.fault.as_deref().unwrap_or("its reason was not kept");
-                    format!("policy of seed {seed}, {label}trial {trial}: {reason}")
-                })
-            })
-        });
-        let first = first.next()?;
-        Some(format!(
-            "{faults} of {trials} trials of {name} ended in a fault; they count as no success and have no other numbers. The first, \
-             {first}"
-        ))
+        let (name, EndCounts { trials, faults, .. }) = (&self.names[set], self.ends(set));
+        for (seed, policy) in &self.sets[set] {
+            for (samples, Condition { label, .. }) in policy.iter().zip(&self.conditions) {
+                let Some(trial) = samples.iter().position(|sample| sample.end == TrialEnd::Fault) else { continue };
+                let label = if label.is_empty() { String::new() } else { format!("condition {label}, ") };
+                let reason = samples[trial].fault.as_deref().unwrap_or("its reason was not kept");
+                return Some(format!(
+                    "{faults} of {trials} trials of {name} ended in a fault; they count as no success and have no other \
+                     numbers. The first, policy of seed {seed}, {label}trial {trial}: {reason}"
+                ));
+            }
+        }
+        None
     }
 
     /// Counts how the trials of a set ended.

@@ -125,14 +125,11 @@ impl Comparison {
             [a, b, ..] => a.by_seed.iter().filter_map(|(seed, a)| Some([*a, *b.by_seed.get(seed)?])).collect(),
             _ => Vec::new(),
         };
-        let means = |chosen: &[usize]| {
-            let of = |which: usize| mean(chosen.iter().map(|pair| pairs[*pair][which]));
-            Some([of(0)?, of(1)?])
-        };
         let apart = |pair: &usize| pairs[*pair][0] - pairs[*pair][1];
         let difference = estimate(pairs.len(), |chosen| mean(chosen.iter().map(apart)));
         let relative = estimate(pairs.len(), |chosen| {
-            means(chosen).filter(|[a, b]| *a > 0.0 && *b > 0.0).map(|[a, b]| a / b - 1.0)
+            let of = |which: usize| mean(chosen.iter().map(|pair| pairs[*pair][which])).filter(|mean| *mean > 0.0);
+            Some(of(0)? / of(1)? - 1.0)
         });
         Comparison { sets, difference, relative, trials: None }
     }
