@@ -8,7 +8,6 @@ use super::section_content::{Claim, Figure, Row, SectionContent, Table};
 use super::statistics::{Expected, PerSeed, Spread};
 
 /// Conditions that are averaged, such as all directions at one command, by their indices.
-#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ConditionGroup {
     pub name: String,
     pub conditions: Vec<usize>,
@@ -21,7 +20,6 @@ impl ConditionGroup {
 }
 
 /// The section of an experiment under construction.
-#[derive(Debug)]
 pub struct SectionBuilder<'a> {
     name: &'static str,
     pub results: &'a Results,

@@ -17,7 +17,7 @@ pub struct SectionContent {
 }
 
 /// A statement about two sets of policies, in most cases one of the paper.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Claim {
     pub text: String,
     /// The paper's numbers, if it gives any.
@@ -42,7 +42,7 @@ impl Claim {
 }
 
 /// A row of a table.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Row {
     /// The condition; empty if nothing was varied.
     pub condition: String,
@@ -60,7 +60,7 @@ impl Row {
 }
 
 /// A table of the report.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Table {
     /// The file name without extension.
     pub name: String,

@@ -1,7 +1,6 @@
 //! Values on a square grid, such as the success rate over pushes: the fraction above a level and its contour (Fig. 2).
 
 /// Values on a square grid with the same coordinates, ascending, along both axes.
-#[derive(Debug, Clone, PartialEq)]
 pub struct SquareGrid {
     pub coordinates: Vec<f64>,
     /// The values, shape (n, n), row-major: the row is the first coordinate (forward), the column the second (left).

@@ -29,7 +29,7 @@ const ENOUGH_PAIRS: usize = 5;
 pub type PerSeed = BTreeMap<u64, f64>;
 
 /// The mean and standard deviation over seeds.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Spread {
     pub mean: f64,
     /// The sample standard deviation; none with a single seed.
@@ -77,7 +77,7 @@ pub struct Trials {
 }
 
 /// The numbers of one set of policies in one quantity.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Numbers {
     /// The numbers of the policies that have one; empty for a number of all policies together.
     pub by_seed: PerSeed,
@@ -107,7 +107,7 @@ impl Numbers {
 }
 
 /// The numbers of all sets of policies in one quantity, and the difference of the first two sets.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Comparison {
     pub sets: Vec<Numbers>,
     /// The first set minus the second, over the seeds that both have.
@@ -198,8 +198,7 @@ pub fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
 }
 
 /// The expected side of the first set's number, seen from the second's: that of the paper, where it has the experiment.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Copy)]
 pub enum Expected {
     Higher,
     Lower,

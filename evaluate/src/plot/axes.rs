@@ -4,7 +4,6 @@ use super::svg::{Anchor, Stroke, Svg, Text};
 use super::{GREY, LARGE, PALE, SMALL, colour, line};
 
 /// A rectangle of a figure, from its upper left corner \[px\], with the data ranges along x and, upwards, along y.
-#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Panel {
     pub corner: [f64; 2],
     pub size: [f64; 2],

@@ -19,7 +19,6 @@ const COLOURS: [[f64; 3]; 9] = [
 ];
 
 /// A heat map of fractions, 0 to 1, with its title.
-#[derive(Debug, Clone, PartialEq)]
 pub struct Map<'a> {
     pub title: String,
     pub grid: &'a SquareGrid,

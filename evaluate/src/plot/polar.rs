@@ -11,7 +11,6 @@ use crate::statistics::Spread;
 const RADIUS: f64 = 134.0;
 
 /// A panel with a quantity in directions that divide the circle evenly, counter-clockwise from forward.
-#[derive(Debug, Clone, PartialEq)]
 pub struct Polar {
     pub title: String,
     /// The values by set, then by direction; none where a value is undefined.
@@ -19,7 +18,6 @@ pub struct Polar {
 }
 
 /// The scales of the panels, one for all or their own; all sets of a panel share one.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Scales {
     Shared,
     Own,

@@ -3,7 +3,6 @@
 use std::fmt::Write as _;
 
 /// An SVG drawing under construction. Lengths are in pixels, y points down.
-#[derive(Debug, Clone, PartialEq)]
 pub struct Svg {
     width: f64,
     height: f64,

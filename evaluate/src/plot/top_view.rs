@@ -8,7 +8,6 @@ use super::{GREY, INK, WIDTH, colour};
 pub type BoxPose = [f64; 3];
 
 /// The path of the trunk (x, y) \[m\] in one trial, which may end with a fall, and the poses of the box before and after.
-#[derive(Debug, Clone, PartialEq)]
 pub struct Run {
     pub path: Vec<[f64; 2]>,
     pub first: BoxPose,
@@ -17,7 +16,6 @@ pub struct Run {
 }
 
 /// The runs of one set in the order of trials. The first is drawn in full, the others faintly.
-#[derive(Debug, Clone, PartialEq)]
 pub struct View {
     pub title: String,
     pub runs: Vec<Run>,
