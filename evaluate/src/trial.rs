@@ -172,10 +172,13 @@ pub(crate) fn set_up(
     Ok(Some((scenario, script)))
 }
 
+/// A beginning that is played once, by the first trial that needs it.
+type SharedBeginning = Arc<OnceLock<Option<Beginning>>>;
+
 /// Undisturbed beginnings that trials of one policy share: a script without its disturbances, and what comes of it until the
 /// latest moment at which one of them may be disturbed; `None` if something happens before.
 #[derive(Debug, Default)]
-pub struct Beginnings(Mutex<Vec<(Script, Arc<OnceLock<Option<Beginning>>>)>>);
+pub struct Beginnings(Mutex<Vec<(Script, SharedBeginning)>>);
 
 impl Beginnings {
     /// Frees their memory.
