@@ -9,20 +9,20 @@ Tables and figures show every set of policies; claims and differences compare th
 */
 
 pub mod exam;
-pub mod experiments;
+mod experiments;
 pub mod learning_curves;
 pub mod measurement_store;
-pub mod plot;
+mod plot;
 pub mod policy_sets;
 pub mod protocol;
 pub mod report;
-pub mod results;
+mod results;
 pub mod runner;
-pub mod section_builder;
-pub mod section_content;
-pub mod sensing;
-pub mod square_grid;
-pub mod statistics;
+mod section_builder;
+mod section_content;
+mod sensing;
+mod square_grid;
+mod statistics;
 pub mod study;
 pub mod trial;
 
@@ -55,6 +55,20 @@ pub struct ExperimentInfo {
     pub quantities: &'static [Quantity],
     /// The number of trials of each condition with each policy.
     pub trials: u32,
+}
+
+impl ExperimentInfo {
+    /// Creates the description of an experiment that the paper does not have, without its method.
+    pub const fn new(
+        id: &'static str,
+        number: u32,
+        name: &'static str,
+        title: &'static str,
+        quantities: &'static [Quantity],
+        trials: u32,
+    ) -> Self {
+        ExperimentInfo { id, number, name, title, paper: "", method: "", quantities, trials }
+    }
 }
 
 /// A quantity that an experiment measures in each trial; a trial may leave it undefined.
@@ -145,7 +159,7 @@ pub trait Experiment: erased_serde::Serialize + Sync {
         script.duration_s
     }
 
-    /// Takes the experiment's numbers from a trial; by default, the scenario's metrics of the same names.
+    /// Takes the experiment's numbers from a trial; by default, those of [`Trial::upright_metrics`].
     fn measure(&self, trial: &Trial) -> TrialValues {
         trial.upright_metrics(self.info().quantities)
     }

@@ -79,19 +79,13 @@ impl MeasurementStore {
 
     /// Locks an experiment: waits until no other process measures it, and keeps others waiting while the file is open. If it has
     /// to wait, `waits` receives a description of the other process.
-    ///
-    /// # Errors
-    /// The folder or its lock file cannot be created.
-    pub fn lock_experiment(&self, experiment: &dyn Experiment, waits: impl Fn(&str)) -> Result<File, FileError> {
+    pub(crate) fn lock_experiment(&self, experiment: &dyn Experiment, waits: impl Fn(&str)) -> Result<File, FileError> {
         let name = experiment.info().name;
         lock(&self.folder.join(name), |other| waits(&format!("{other}, which measures {name}")))
     }
 
     /// Locks an experiment unless another process measures it.
-    ///
-    /// # Errors
-    /// The folder or its lock file cannot be created.
-    pub fn try_lock_experiment(&self, experiment: &dyn Experiment) -> Result<Option<File>, FileError> {
+    pub(crate) fn try_lock_experiment(&self, experiment: &dyn Experiment) -> Result<Option<File>, FileError> {
         let folder = self.folder.join(experiment.info().name);
         let file = open_lock(&folder)?;
         if let Err(TryLockError::WouldBlock) = file.try_lock() { Ok(None) } else { hold(file, &folder).map(Some) }
@@ -106,10 +100,7 @@ impl MeasurementStore {
     }
 
     /// Writes a finished measurement.
-    ///
-    /// # Errors
-    /// The file cannot be written.
-    pub fn write(
+    pub(crate) fn write(
         &self,
         experiment: &dyn Experiment,
         key: &str,
@@ -222,13 +213,7 @@ mod tests {
         let (store, protocol) = (MeasurementStore::new(folder.path()), Protocol::quick().unwrap());
         let agent = supple::policy::shipped::find("compliant").unwrap();
         let member = SetMember { seed: 3, file: PathBuf::from("x"), agent };
-        let sample = Sample {
-            end: TrialEnd::Upright,
-            values: vec![Some(0.5), None],
-            series: Vec::new(),
-            fault: None,
-            estimation: None,
-        };
+        let sample = Sample::new(TrialEnd::Upright, vec![Some(0.5), None]);
         let key = "0123456789abcdef0123";
         store.write(&protocol.decay, key, &member, 1.25, vec![vec![sample]]).unwrap();
         let path = store.path(&protocol.decay, key);

@@ -12,7 +12,7 @@ use serde::Serialize;
 use supple::policy::compliance::{ComplianceError, split_compliance};
 use supple::policy::{Agent, AgentError, Provenance, shipped};
 use supple::robot::Losses;
-use supple::util::files;
+use supple::util::files::{self, FileError};
 use supple::util::numbers::short;
 
 /// The configuration keys, or their beginnings, that affect the trials of a policy.
@@ -22,54 +22,23 @@ const TRIAL_KEYS: [&str; 4] = ["simulation.", "robot.", "episode.min_height_m", 
 #[derive(Debug, thiserror::Error)]
 pub enum PolicySetError {
     /// The folder cannot be read.
-    #[error("cannot read the policies in {}: {source}", path.display())]
-    Read {
-        /// The folder.
-        path: PathBuf,
-        /// The system's reason.
-        source: std::io::Error,
-    },
-    /// The folder has no policy of a set.
-    #[error("{} has no policy {wanted}; train one with `cargo run --release --bin train`", path.display())]
-    Missing {
-        /// The folder.
-        path: PathBuf,
-        /// The expected file names.
-        wanted: String,
-    },
-    /// Two files of one set have the same seed.
-    #[error("{} and {} are both seed {seed} of {set}, expected one policy per seed", first.display(), second.display())]
-    Twice {
-        /// The first file.
-        first: PathBuf,
-        /// The second file.
-        second: PathBuf,
-        /// The seed of both files.
-        seed: u64,
-        /// The name of the set.
-        set: String,
-    },
-    /// A path stands for several policies where one is examined.
-    #[error("{} stands for {found} policies, expected one, such as {}", path.display(), first.display())]
-    Several {
-        /// The path.
-        path: PathBuf,
-        /// The number of policies.
-        found: usize,
-        /// The file of the first policy.
-        first: PathBuf,
-    },
+    #[error("cannot read the {0}")]
+    Read(#[from] FileError),
+    /// The folder has no policy of a set, whose files have names of this form.
+    #[error("{0} has no policy {1}; train one with `cargo run --release --bin train`")]
+    Missing(PathBuf, String),
+    /// Two files have the same seed of one set.
+    #[error("{0} and {1} are both seed {2} of {3}, expected one policy per seed")]
+    Twice(PathBuf, PathBuf, u64, String),
+    /// A path stands for several policies, a number and the first of them, where one is examined.
+    #[error("{0} stands for {1} policies, expected one, such as {2}")]
+    Several(PathBuf, usize, PathBuf),
     /// A policy file is invalid.
     #[error(transparent)]
     Agent(#[from] AgentError),
-    /// A policy does not support the commanded compliance.
-    #[error("{}: {source}", file.display())]
-    Compliance {
-        /// The file of the policy.
-        file: PathBuf,
-        /// The reason.
-        source: ComplianceError,
-    },
+    /// The policy of a file does not support the commanded compliance.
+    #[error("{0}: {1}")]
+    Compliance(PathBuf, #[source] ComplianceError),
 }
 
 /// A policy of a set.
@@ -138,32 +107,20 @@ pub struct PolicySets {
 }
 
 impl PolicySets {
-    /// Reads policies `NAME-seedN.safetensors` and external ones `NAME-seedN.yaml` of several names from one folder, and further
-    /// sets by name and path.
+    /// Reads policies `NAME-seedN.safetensors` and external ones `NAME-seedN.yaml` of several names from one folder, or those inside
+    /// the program if it is none, and further sets by name and path.
     ///
     /// # Errors
     /// A folder or policy cannot be read, a set has no policy or two of one seed, or a policy does not support the commanded
     /// compliance.
-    pub fn from_folder(folder: &Path, names: &[String], also: &[(String, PathBuf)]) -> Result<Self, PolicySetError> {
-        Self::from_files(folder, policy_files(folder)?, names, also)
-    }
-
-    /// Reads the policies inside the program by the names of their sets, and further sets by name and path.
-    ///
-    /// # Errors
-    /// The same as those of [`PolicySets::from_folder`].
-    pub fn from_shipped(names: &[String], also: &[(String, PathBuf)]) -> Result<Self, PolicySetError> {
-        let of_sets = shipped::EMBEDDED.iter().filter(|(name, _)| !name.contains('/'));
-        let files = of_sets.map(|(name, _)| name.into()).collect();
-        Self::from_files(Path::new("the policies inside this program"), files, names, also)
-    }
-
-    fn from_files(
-        folder: &Path,
-        all: Vec<PathBuf>,
+    pub fn from_folder(
+        folder: Option<&Path>,
         names: &[String],
         also: &[(String, PathBuf)],
     ) -> Result<Self, PolicySetError> {
+        let shipped = shipped::EMBEDDED.iter().filter(|(name, _)| !name.contains('/')).map(|(name, _)| name.into());
+        let all = folder.map_or_else(|| Ok(shipped.collect()), policy_files)?;
+        let folder = folder.unwrap_or(Path::new("the policies inside this program"));
         let (mut files, mut left_out) = (vec![Vec::new(); names.len()], Vec::new());
         for file in all {
             match names.iter().enumerate().find_map(|(set, name)| Some((set, seed_of(name, &file)?))) {
@@ -172,13 +129,16 @@ impl PolicySets {
             }
         }
         let set = |(name, files): (&String, _)| {
-            PolicySet::load(name, folder, files, None, || format!("{name}-seedN.safetensors (or .yaml), N a number"))
+            PolicySet::load(name, folder, files, None, &format!("{name}-seedN.safetensors (or .yaml), N a number"))
         };
         let further = also.iter().map(|(name, path)| PolicySet::from_path(name, path));
         let sets = names.iter().zip(files).map(set).chain(further).collect::<Result<Vec<_>, _>>()?;
         let is_read = |file: &PathBuf| sets.iter().flat_map(|set| &set.members).any(|member| member.file == *file);
         left_out.retain(|file| !is_read(file));
-        let note = |file: &PathBuf| format!("{} was left out: its name belongs to neither set", name_of(file));
+        let note = |file: &PathBuf| {
+            let name = file.file_name().unwrap_or_default().display();
+            format!("{name} was left out: its name belongs to neither set")
+        };
         Ok(Self::new(sets, left_out.iter().map(note).collect()))
     }
 
@@ -199,37 +159,27 @@ impl PolicySets {
             let lacks = |member: &&SetMember| partner.members.iter().all(|other| other.seed != member.seed);
             let alone: Vec<String> = own.members.iter().filter(lacks).map(|member| member.seed.to_string()).collect();
             if !alone.is_empty() {
-                notes.push(format!(
-                    "{} has no policy of seed {}, unlike {}: means are over all seeds of a set, differences over the \
-                     seeds of both",
-                    partner.name,
-                    alone.join(", "),
-                    own.name
-                ));
+                let (partner, alone, own) = (&partner.name, alone.join(", "), &own.name);
+                let means = "means are over all seeds of a set, differences over the seeds of both";
+                notes.push(format!("{partner} has no policy of seed {alone}, unlike {own}: {means}"));
             }
         }
-        for set in &sets {
-            if let Some(compliance) = set.members.iter().find_map(|member| member.agent.commanded_compliance) {
-                let name = &set.name;
-                notes.push(format!(
-                    "{name} has a commanded compliance of {compliance} m/s/N in trials that command none"
-                ));
+        for PolicySet { name, members } in &sets {
+            if let Some(compliance) = members.iter().find_map(|member| member.agent.commanded_compliance) {
+                let words = "m/s/N in trials that command none";
+                notes.push(format!("{name} has a commanded compliance of {compliance} {words}"));
             }
-            for (index, member) in set.members.iter().enumerate() {
-                let is_same = |other: &&SetMember| other.agent.sha256 == member.agent.sha256;
-                if let Some(twin) = set.members[..index].iter().find(is_same) {
-                    let (name, [a, b]) = (&set.name, [twin.seed, member.seed]);
-                    notes.push(format!(
-                        "{name}, seeds {a} and {b}, are one policy: the two samples are not independent"
-                    ));
+            for (index, member) in members.iter().enumerate() {
+                let seed = member.seed;
+                if let Some(twin) = members[..index].iter().find(|it| it.agent.sha256 == member.agent.sha256) {
+                    let words = "are one policy: the two samples are not independent";
+                    notes.push(format!("{name}, seeds {} and {seed}, {words}", twin.seed));
                 }
                 if let Some(unfinished) = member.provenance().and_then(Provenance::unfinished) {
-                    notes.push(format!("{}, seed {}, {unfinished}", set.name, member.seed));
+                    notes.push(format!("{name}, seed {seed}, {unfinished}"));
                 }
-                let trained = member.provenance().map(|provenance| provenance.seed);
-                if let Some(trained) = trained.filter(|trained| *trained != member.seed) {
-                    let (name, seed) = (&set.name, member.seed);
-                    notes.push(format!("{name}, seed {seed}, was trained with seed {trained}"));
+                if let Some(provenance) = member.provenance().filter(|it| it.seed != seed) {
+                    notes.push(format!("{name}, seed {seed}, was trained with seed {}", provenance.seed));
                 }
             }
         }
@@ -238,13 +188,11 @@ impl PolicySets {
         let policies = PolicySets { sets, notes: Vec::new() };
         let keys: Vec<String> = policies.differing_keys().into_iter().collect();
         if !keys.is_empty() {
-            notes.push(format!(
-                "the policies were not trained alike: their configurations differ in {}",
-                keys.join(", ")
-            ));
+            let keys = keys.join(", ");
+            notes.push(format!("the policies were not trained alike: their configurations differ in {keys}"));
             // Trials of a policy use its own values of these keys.
-            let affects_trials = |key: &&String| TRIAL_KEYS.iter().any(|known| key.starts_with(known));
-            let tried: Vec<&str> = keys.iter().filter(affects_trials).map(String::as_str).collect();
+            let affects_trials = |key: &&str| TRIAL_KEYS.iter().any(|known| key.starts_with(known));
+            let tried: Vec<&str> = keys.split(", ").filter(affects_trials).collect();
             if !tried.is_empty() {
                 notes.push(format!("each policy is evaluated with its own {}", tried.join(", ")));
             }
@@ -336,7 +284,7 @@ impl PolicySet {
             }
         };
         let files = files.into_iter().map(|file| (seed_in_name(&file), file)).collect();
-        PolicySet::load(name, path, files, compliance, || "*.safetensors or *.yaml".into())
+        PolicySet::load(name, path, files, compliance, "*.safetensors or *.yaml")
     }
 
     fn load(
@@ -344,22 +292,21 @@ impl PolicySet {
         folder: &Path,
         files: Vec<(Option<u64>, PathBuf)>,
         compliance: Option<f64>,
-        wanted: impl Fn() -> String,
+        wanted: &str,
     ) -> Result<Self, PolicySetError> {
         if files.is_empty() {
-            return Err(PolicySetError::Missing { path: folder.to_owned(), wanted: wanted() });
+            return Err(PolicySetError::Missing(folder.to_owned(), wanted.to_owned()));
         }
         let mut members: Vec<SetMember> = Vec::new();
         for (seed, file) in files {
             let mut agent = shipped::find(&file.display().to_string())?;
             agent.commanded_compliance = compliance;
             if let Err(source) = agent.resolve_compliance(None, None) {
-                return Err(PolicySetError::Compliance { file, source });
+                return Err(PolicySetError::Compliance(file, source));
             }
             let seed = seed.or_else(|| Some(agent.policy()?.provenance.seed)).unwrap_or(0);
             if let Some(first) = members.iter().find(|member| member.seed == seed) {
-                let (first, set) = (first.file.clone(), name.to_owned());
-                return Err(PolicySetError::Twice { first, second: file, seed, set });
+                return Err(PolicySetError::Twice(first.file.clone(), file, seed, name.to_owned()));
             }
             members.push(SetMember { seed, file, agent });
         }
@@ -400,11 +347,6 @@ fn unequal_samples(sets: &[PolicySet]) -> Option<String> {
     is_unequal.then(|| format!("{name} has {own} million samples{others}: differences may come from that"))
 }
 
-/// Returns the name of a file without its folder.
-fn name_of(file: &Path) -> String {
-    file.file_name().unwrap_or_default().to_string_lossy().into_owned()
-}
-
 /// Returns the seed N of a file `NAME-seedN` of a given name; none for another file.
 fn seed_of(name: &str, file: &Path) -> Option<u64> {
     file.file_stem()?.to_string_lossy().strip_prefix(name)?.strip_prefix("-seed")?.parse().ok()
@@ -417,10 +359,9 @@ fn seed_in_name(file: &Path) -> Option<u64> {
 
 /// Returns all policy files of a folder, sorted by name.
 fn policy_files(folder: &Path) -> Result<Vec<PathBuf>, PolicySetError> {
-    let fail = |source| PolicySetError::Read { path: folder.to_owned(), source };
-    let entries = std::fs::read_dir(folder).map_err(fail)?;
-    let mut files =
-        entries.map(|entry| entry.map(|entry| entry.path())).collect::<Result<Vec<_>, _>>().map_err(fail)?;
+    let fail = FileError::of("policies in", folder);
+    let entries = std::fs::read_dir(folder).map_err(fail)?.map(|entry| entry.map(|entry| entry.path()));
+    let mut files = entries.collect::<Result<Vec<_>, _>>().map_err(fail)?;
     files.retain(|file| files::is_yaml(file) || file.extension().is_some_and(|extension| extension == "safetensors"));
     files.sort();
     Ok(files)

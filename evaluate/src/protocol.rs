@@ -30,24 +30,12 @@ pub enum ProtocolError {
     /// A scenario file inside the program is invalid.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// A value is outside its range.
-    #[error("protocol key {key} is {found}, expected {expected}")]
-    Value {
-        /// The key, with dots between sections.
-        key: String,
-        /// The value found.
-        found: String,
-        /// The valid values.
-        expected: &'static str,
-    },
-    /// A condition's scenario cannot be played.
-    #[error("protocol section {place}: {source}")]
-    Scenario {
-        /// The section, and the condition's label if it has one.
-        place: String,
-        /// The parameter of the scenario that is outside its range, as the program `scenario` names it.
-        source: ScriptError,
-    },
+    /// The value of a key is outside its range: the key with dots between sections, what was found and what was expected.
+    #[error("protocol key {0} is {1}, expected {2}")]
+    Value(String, String, &'static str),
+    /// A scenario cannot be played: the section with the condition's label, and the parameter as the program `scenario` names it.
+    #[error("protocol section {0}: {1}")]
+    Scenario(String, #[source] ScriptError),
 }
 
 impl Protocol {
@@ -56,7 +44,7 @@ impl Protocol {
     /// # Errors
     /// The file inside the program is invalid, which a test rules out.
     pub fn full() -> Result<Self, ProtocolError> {
-        Self::parse(&[Text::new("full", FULL)])
+        Self::differing(&[])
     }
 
     /// Returns the quick protocol: fewer trials, grid points and directions.
@@ -64,7 +52,7 @@ impl Protocol {
     /// # Errors
     /// A file inside the program is invalid, which a test rules out.
     pub fn quick() -> Result<Self, ProtocolError> {
-        Self::parse(&[Text::new("full", FULL), Text::new("quick", QUICK)])
+        Self::differing(&[Text::new("quick", QUICK)])
     }
 
     /// Returns the protocol of an [examination](crate::exam), with the values of a file that differ from it.
@@ -72,10 +60,10 @@ impl Protocol {
     /// # Errors
     /// The same as those of [`Protocol::load`].
     pub fn exam(differences: Option<&Path>) -> Result<Self, ProtocolError> {
-        let texts = [Text::new("full", FULL), Text::new("exam", EXAM)];
+        let exam = Text::new("exam", EXAM);
         match differences {
-            Some(path) => Self::parse(&[&texts[..], &[Self::read(path)?]].concat())?.with_scripts(),
-            None => Self::parse(&texts),
+            Some(path) => Self::differing(&[exam, Self::read(path)?])?.with_scripts(),
+            None => Self::differing(&[exam]),
         }
     }
 
@@ -85,36 +73,28 @@ impl Protocol {
     /// The file cannot be read or is not YAML, a key is unknown, or a value is outside its range; the error names the key, or the
     /// section and the parameter of its scenario.
     pub fn load(path: &Path) -> Result<Self, ProtocolError> {
-        Self::parse(&[Text::new("full", FULL), Self::read(path)?])?.with_scripts()
+        Self::differing(&[Self::read(path)?])?.with_scripts()
     }
 
     fn read(path: &Path) -> Result<Text, ProtocolError> {
         Ok(Text::read(path).map_err(FileError::of("protocol", path))?)
     }
 
-    fn parse(layers: &[Text]) -> Result<Self, ProtocolError> {
-        let protocol: Protocol = layered(layers)?;
-        protocol.check()?;
-        Ok(protocol)
-    }
-
-    fn check(&self) -> Result<(), ProtocolError> {
-        for experiment in self.experiments() {
+    /// Reads the full protocol with differences, each layer over those before it.
+    fn differing(layers: &[Text]) -> Result<Self, ProtocolError> {
+        let protocol: Protocol = layered(&[&[Text::new("full", FULL)], layers].concat())?;
+        for experiment in protocol.experiments() {
             let section = experiment.info().name.replace('-', "_");
-            in_range("trials", f64::from(experiment.info().trials), 1.0, 10_000.0, "1 to 10000")
-                .and_then(|()| experiment.check())
-                .map_err(|ParameterError { name, found, expected }| ProtocolError::Value {
-                    key: format!("{section}.{name}"),
-                    found,
-                    expected,
-                })?;
+            let checked = in_range("trials", f64::from(experiment.info().trials), 1.0, 10_000.0, "1 to 10000");
+            if let Err(ParameterError { name, found, expected }) = checked.and_then(|()| experiment.check()) {
+                return Err(ProtocolError::Value(format!("{section}.{name}"), found, expected));
+            }
             // Scenarios check all other parameters when they make their scripts: see `with_scripts`.
             if experiment.conditions()?.is_empty() {
-                let (found, expected) = ("empty".to_owned(), "at least one condition");
-                return Err(ProtocolError::Value { key: section, found, expected });
+                return Err(ProtocolError::Value(section, "empty".into(), "at least one condition"));
             }
         }
-        Ok(())
+        Ok(protocol)
     }
 
     /// Returns `self` if the scripts of all conditions can be made. It takes a moment, most of it for uneven ground; of the
@@ -125,7 +105,7 @@ impl Protocol {
             let section = experiment.info().name.replace('-', "_");
             for Condition { label, scenario } in experiment.conditions()? {
                 let place = if label.is_empty() { section.clone() } else { format!("{section}, condition {label}") };
-                scenario.script(0, &config).map_err(|source| ProtocolError::Scenario { place, source })?;
+                scenario.script(0, &config).map_err(|error| ProtocolError::Scenario(place, error))?;
             }
         }
         Ok(self)
@@ -148,20 +128,20 @@ mod tests {
         };
         assert!(trials(&Protocol::quick().unwrap()) * 5 < trials(&Protocol::full().unwrap()));
         let harder = include_str!("../../configs/evaluation/harder.yaml");
-        let harder = Protocol::parse(&[Text::new("full", FULL), Text::new("harder", harder)]).unwrap();
+        let harder = Protocol::differing(&[Text::new("harder", harder)]).unwrap();
         // The pit keeps its size with larger balls.
         let Scenario::BallPit(pit) = &harder.ball_pit.conditions().unwrap()[0].scenario else {
             panic!("another scenario")
         };
         assert_eq!((pit.balls, pit.task.forward_m_s), (14 * 14, 0.4));
         let battery = include_str!("../../configs/evaluation/battery.yaml");
-        let battery = Protocol::parse(&[Text::new("full", FULL), Text::new("battery", battery)]).unwrap();
+        let battery = Protocol::differing(&[Text::new("battery", battery)]).unwrap();
         assert!(trials(&battery) * 3 < trials(&Protocol::full().unwrap()));
     }
 
     #[test]
     fn protocol_with_invalid_value_is_refused() {
-        let changed = |text| Protocol::parse(&[Text::new("full", FULL), Text::new("test", text)]);
+        let changed = |text| Protocol::differing(&[Text::new("test", text)]);
         assert_eq!(changed("box: {trials: 3}").unwrap().r#box.trials, 3);
         for (text, expected) in [
             (

@@ -14,9 +14,7 @@ pub type PolicyResult = Vec<Vec<Sample>>;
 pub struct Results {
     /// The names of the sets, two or more; the first two are compared.
     pub names: Vec<String>,
-    /// The conditions that were varied.
     pub conditions: Vec<Condition>,
-    /// The quantities that were measured.
     pub quantities: &'static [Quantity],
     /// The samples by set, then by seed.
     pub sets: Vec<BTreeMap<u64, PolicyResult>>,
@@ -43,9 +41,6 @@ fn is_zero(count: &usize) -> bool {
 
 impl Results {
     /// Returns the index of a quantity by name.
-    ///
-    /// # Panics
-    /// The experiment has no quantity of that name.
     pub fn index(&self, quantity: &str) -> usize {
         let found = self.quantities.iter().position(|known| known.name == quantity);
         // Experiments use the names in their own lists; a test covers every experiment.
@@ -53,9 +48,6 @@ impl Results {
     }
 
     /// Returns a quantity by name.
-    ///
-    /// # Panics
-    /// The experiment has no quantity of that name.
     pub fn quantity(&self, name: &str) -> Quantity {
         self.quantities[self.index(name)]
     }
@@ -126,26 +118,28 @@ impl Results {
         common.first().filter(|seed| self.sets[set].contains_key(seed)).or(self.sets[set].keys().next()).copied()
     }
 
+    /// Returns the title of figures that show the policy of the shown seed of a set, and its samples.
+    pub fn shown(&self, set: usize) -> (String, Option<&PolicyResult>) {
+        let seed = self.shown_seed(set);
+        let words = seed.map_or("–".into(), |seed| seed.to_string());
+        (format!("{}, seed {words}", self.names[set]), seed.and_then(|seed| self.sets[set].get(&seed)))
+    }
+
     /// Describes the faults in the trials of a set: how many there were, and which was the first; `None` if there were none.
     pub fn faults(&self, set: usize) -> Option<String> {
-        let name = &self.names[set];
-        let EndCounts { trials, faults, .. } = self.ends(set);
-        let mut first = self.sets[set].iter().flat_map(|(seed, policy)| {
-            policy.iter().zip(&self.conditions).flat_map(move |(samples, condition)| {
-                let faulty = samples.iter().enumerate().filter(|(_, sample)| sample.end == TrialEnd::Fault);
-                faulty.map(move |(trial, sample)| {
-                    let label = &condition.label;
-                    let label = if label.is_empty() { String::new() } else { format!("condition {label}, ") };
-                    let reason = sample.fault.as_deref().unwrap_or("its reason was not kept");
-                    format!("policy of seed {seed}, {label}trial {trial}: {reason}")
-                })
-            })
-        });
-        let first = first.next()?;
-        Some(format!(
-            "{faults} of {trials} trials of {name} ended in a fault; they count as no success and have no other numbers. The first, \
-             {first}"
-        ))
+        let (name, EndCounts { trials, faults, .. }) = (&self.names[set], self.ends(set));
+        for (seed, policy) in &self.sets[set] {
+            for (samples, Condition { label, .. }) in policy.iter().zip(&self.conditions) {
+                let Some(trial) = samples.iter().position(|sample| sample.end == TrialEnd::Fault) else { continue };
+                let label = if label.is_empty() { String::new() } else { format!("condition {label}, ") };
+                let reason = samples[trial].fault.as_deref().unwrap_or("its reason was not kept");
+                return Some(format!(
+                    "{faults} of {trials} trials of {name} ended in a fault; they count as no success and have no other \
+                     numbers. The first, policy of seed {seed}, {label}trial {trial}: {reason}"
+                ));
+            }
+        }
+        None
     }
 
     /// Counts how the trials of a set ended.
@@ -183,13 +177,7 @@ mod tests {
         let condition = protocol.decay.conditions().unwrap().remove(0);
         let sample = |value: &Option<f64>| {
             let (fell, end) = value.map_or((1.0, TrialEnd::Fell), |_| (0.0, TrialEnd::Upright));
-            Sample {
-                end,
-                values: vec![*value, None, None, None, None, Some(fell)],
-                series: Vec::new(),
-                fault: None,
-                estimation: None,
-            }
+            Sample::new(end, vec![*value, None, None, None, None, Some(fell)])
         };
         let policy = |values: &[Option<f64>; 2]| values.iter().map(|value| vec![sample(value)]).collect();
         Results {

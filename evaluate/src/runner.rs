@@ -5,6 +5,7 @@ Results do not depend on the number of threads. Those of a policy in an experime
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -22,15 +23,8 @@ use supple::util::files::FileError;
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
     /// A trial cannot be played.
-    #[error("experiment {experiment} with policy {policy}: {source}")]
-    Trial {
-        /// The name of the experiment.
-        experiment: &'static str,
-        /// The file of the policy.
-        policy: String,
-        /// The reason.
-        source: TrialError,
-    },
+    #[error("experiment {0} with policy {1}: {2}")]
+    Trial(&'static str, PathBuf, #[source] TrialError),
     /// The results cannot be written.
     #[error("cannot write the {0}")]
     Store(#[from] FileError),
@@ -133,10 +127,7 @@ pub fn jobs<'a>(
 }
 
 /// Returns the results of an experiment; none if some are not measured yet.
-///
-/// # Errors
-/// A scenario file inside the program is invalid, which a test rules out.
-pub fn finished(
+pub(crate) fn finished(
     experiment: &dyn Experiment,
     policies: &PolicySets,
     store: &MeasurementStore,
@@ -242,11 +233,8 @@ impl<'a> Active<'a> {
         let Job { experiment, conditions, member, settings, key, .. } = self.job;
         progress(Update::Begins)?;
         let start = Instant::now();
-        let sample = self.job.play(index, &self.beginnings).map_err(|source| RunError::Trial {
-            experiment: experiment.info().name,
-            policy: member.file.display().to_string(),
-            source,
-        })?;
+        let fail = |error| RunError::Trial(experiment.info().name, member.file.clone(), error);
+        let sample = self.job.play(index, &self.beginnings).map_err(fail)?;
         let mut played = self.played.lock().unwrap_or_else(PoisonError::into_inner);
         played.samples[index] = Some(sample);
         played.took += start.elapsed();
@@ -300,8 +288,6 @@ fn play(queue: &[Active], progress: &Progress) -> Result<(), RunError> {
 
 #[cfg(test)]
 mod tests {
-    use std::path::PathBuf;
-
     use super::*;
     use crate::protocol::Protocol;
 
@@ -323,6 +309,6 @@ mod tests {
         let job = Job { name, work, experiment: &terrain, conditions, member: &member, settings: &settings, key };
         let threads = rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap();
         let error = threads.install(|| run(&[job], &|_| Ok(()))).unwrap_err();
-        assert!(matches!(error, RunError::Trial { source: TrialError::Sensing(_), .. }), "{error}");
+        assert!(matches!(error, RunError::Trial(_, _, TrialError::Sensing(_))), "{error}");
     }
 }

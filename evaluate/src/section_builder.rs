@@ -4,41 +4,29 @@ use super::Quantity;
 use super::plot::dots::{self, Dots};
 use super::plot::polar::{self, Polar, Scales};
 use super::results::Results;
-use super::section_content::{Claim, Figure, Lines, Row, SectionContent, Table};
+use super::section_content::{Claim, Figure, Row, SectionContent, Table};
 use super::statistics::{Expected, PerSeed, Spread};
 
-/// Conditions that are averaged, such as all directions at one command.
-#[derive(Debug, Clone, PartialEq, Eq)]
+/// Conditions that are averaged, such as all directions at one command, by their indices.
 pub struct ConditionGroup {
-    /// The label in tables and figures.
     pub name: String,
-    /// The indices of the conditions.
     pub conditions: Vec<usize>,
 }
 
 impl ConditionGroup {
-    /// Splits all conditions, in their order, into groups of equal size with these names.
-    pub fn from_names(names: impl ExactSizeIterator<Item = String>, results: &Results) -> Vec<ConditionGroup> {
-        let size = results.conditions.len() / names.len().max(1);
-        names
-            .enumerate()
-            .map(|(k, name)| ConditionGroup { name, conditions: (k * size..(k + 1) * size).collect() })
-            .collect()
+    pub fn new(name: impl Into<String>, conditions: impl IntoIterator<Item = usize>) -> Self {
+        ConditionGroup { name: name.into(), conditions: conditions.into_iter().collect() }
     }
 }
 
 /// The section of an experiment under construction.
-#[derive(Debug)]
 pub struct SectionBuilder<'a> {
     name: &'static str,
-    /// The results of the experiment.
     pub results: &'a Results,
-    /// The content added so far.
     pub content: SectionContent,
 }
 
 impl<'a> SectionBuilder<'a> {
-    /// Creates an empty section.
     pub fn new(name: &'static str, results: &'a Results) -> Self {
         SectionBuilder { name, results, content: SectionContent::default() }
     }
@@ -53,9 +41,17 @@ impl<'a> SectionBuilder<'a> {
         (0..self.results.conditions.len()).collect()
     }
 
-    /// Returns the label of each condition.
-    pub fn labels(&self) -> Vec<String> {
-        self.results.conditions.iter().map(|condition| condition.label.clone()).collect()
+    /// Splits all conditions, in their order, into groups of equal size, one for each value and with its name.
+    pub fn groups(&self, values: &[f64], name: impl Fn(f64) -> String) -> Vec<ConditionGroup> {
+        let size = self.results.conditions.len() / values.len().max(1);
+        let group = |(k, value): (usize, &f64)| ConditionGroup::new(name(*value), k * size..(k + 1) * size);
+        values.iter().enumerate().map(group).collect()
+    }
+
+    /// Returns each condition as a group.
+    pub fn each(&self) -> Vec<ConditionGroup> {
+        let conditions = self.results.conditions.iter().enumerate();
+        conditions.map(|(index, condition)| ConditionGroup::new(&condition.label, [index])).collect()
     }
 
     /// Returns the label of the first condition.
@@ -72,12 +68,12 @@ impl<'a> SectionBuilder<'a> {
 
     /// Adds a table of all quantities in all conditions to the page.
     pub fn table(&mut self, caption: &str) -> &mut Table {
-        self.add_table("", caption, self.all_rows(), true)
+        self.add_table("", caption, self.rows(&self.each()), true)
     }
 
     /// Adds a table of all quantities in all conditions, as a file only.
     pub fn table_in_file(&mut self, part: &str, caption: &str) {
-        self.add_table(part, caption, self.all_rows(), false);
+        self.add_table(part, caption, self.rows(&self.each()), false);
     }
 
     /// Adds a table of these rows to the page.
@@ -87,14 +83,9 @@ impl<'a> SectionBuilder<'a> {
 
     /// Adds a table of these rows, to the page too if it is `in_page`.
     pub fn add_table(&mut self, part: &str, caption: &str, rows: Vec<Row>, in_page: bool) -> &mut Table {
-        let (name, index) = (self.named(part), self.content.tables.len());
-        self.content.tables.push(Table { name, caption: caption.to_owned(), rows, in_page });
+        let index = self.content.tables.len();
+        self.content.tables.push(Table::new(self.named(part), caption, rows, in_page));
         &mut self.content.tables[index]
-    }
-
-    /// Returns a row for each quantity in each condition.
-    fn all_rows(&self) -> Vec<Row> {
-        self.rows(&ConditionGroup::from_names(self.labels().into_iter(), self.results))
     }
 
     /// Returns a row for each group and quantity: the mean over the group.
@@ -105,19 +96,16 @@ impl<'a> SectionBuilder<'a> {
 
     /// Returns the row of a quantity's mean over a group.
     pub fn row(&self, group: &ConditionGroup, quantity: Quantity) -> Row {
-        let comparison = self.results.compare_over(&group.conditions, quantity.name);
-        Row { condition: group.name.clone(), quantity, paper: String::new(), comparison }
+        Row::new(&group.name, quantity, self.results.compare_over(&group.conditions, quantity.name))
     }
 
-    /// Adds a figure.
     pub fn figure(&mut self, part: &str, caption: impl Into<String>, svg: String) {
         self.content.figures.push(Figure { name: self.named(part), caption: caption.into(), svg });
     }
 
     /// Adds a figure of quantities by condition, with a panel for each quantity.
     pub fn dots(&mut self, part: &str, title: &str, quantities: &[&str], more: &str) {
-        let conditions = ConditionGroup::from_names(self.labels().into_iter(), self.results);
-        self.grouped_dots(part, title, &conditions, quantities, more);
+        self.grouped_dots(part, title, &self.each(), quantities, more);
     }
 
     /// Adds a figure of quantities by group of conditions, with a panel for each quantity.
@@ -180,16 +168,6 @@ impl<'a> SectionBuilder<'a> {
 
     fn has_several_seeds(&self) -> bool {
         self.results.sets.iter().any(|set| set.len() > 1)
-    }
-
-    /// Adds the points of a figure's lines, as a file.
-    pub fn lines(&mut self, lines: impl IntoIterator<Item = Lines>) {
-        self.content.lines.extend(lines);
-    }
-
-    /// Adds notes for the reader.
-    pub fn notes(&mut self, notes: impl IntoIterator<Item = String>) {
-        self.content.notes.extend(notes);
     }
 
     /// Returns the value of a function for each set.

@@ -8,30 +8,22 @@ use super::statistics::{Comparison, Expected, IntervalEstimate, Numbers, Spread,
 /// The claims, tables, figures and notes of an experiment.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct SectionContent {
-    /// The claims of the paper, each with a verdict.
     pub claims: Vec<Claim>,
-    /// The tables in the order of the report.
     pub tables: Vec<Table>,
-    /// The figures in the order of the report.
     pub figures: Vec<Figure>,
     /// The points of figures that no table has.
     pub lines: Vec<Lines>,
-    /// Notes about the numbers of this run.
     pub notes: Vec<String>,
 }
 
 /// A statement about two sets of policies, in most cases one of the paper.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Claim {
-    /// The claim in words.
     pub text: String,
     /// The paper's numbers, if it gives any.
     pub paper: String,
-    /// The quantity that is compared.
     pub quantity: Quantity,
-    /// The measured numbers.
     pub comparison: Comparison,
-    /// The verdict of the measured numbers.
     pub verdict: Verdict,
 }
 
@@ -41,35 +33,49 @@ impl Claim {
         let verdict = Verdict::new(&comparison, expected);
         Claim { text: text.to_owned(), paper: paper.to_owned(), quantity, comparison, verdict }
     }
+
+    /// Creates a claim that the numbers of both sets are below a bound.
+    pub fn below(bound: f64, text: String, paper: &str, quantity: Quantity, comparison: Comparison) -> Self {
+        let verdict = Verdict::from_bound(bound, &comparison);
+        Claim { text, paper: paper.to_owned(), quantity, comparison, verdict }
+    }
 }
 
 /// A row of a table.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Row {
     /// The condition; empty if nothing was varied.
     pub condition: String,
-    /// The measured quantity.
     pub quantity: Quantity,
     /// The paper's numbers, compliant / baseline; empty if it gives none.
     pub paper: String,
-    /// The measured numbers.
     pub comparison: Comparison,
 }
 
+impl Row {
+    /// Creates a row for which the paper has no numbers.
+    pub fn new(condition: impl Into<String>, quantity: Quantity, comparison: Comparison) -> Self {
+        Row { condition: condition.into(), quantity, paper: String::new(), comparison }
+    }
+}
+
 /// A table of the report.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Table {
     /// The file name without extension.
     pub name: String,
-    /// The caption of the table.
     pub caption: String,
-    /// The rows from top to bottom.
     pub rows: Vec<Row>,
     /// True if the table is in the report's page, false if it is only in a file.
     pub in_page: bool,
 }
 
 impl Table {
+    /// Creates a table.
+    pub fn new(name: impl Into<String>, caption: &str, rows: Vec<Row>, in_page: bool) -> Self {
+        Table { name: name.into(), caption: caption.to_owned(), rows, in_page }
+    }
+
     /// Sets the paper's numbers in the rows of a quantity.
     pub fn set_paper(&mut self, quantity: &str, paper: &str) {
         let rows = self.rows.iter_mut().filter(|row| row.quantity.name == quantity);
@@ -82,9 +88,7 @@ impl Table {
 pub struct Figure {
     /// The file name without extension.
     pub name: String,
-    /// The caption of the figure.
     pub caption: String,
-    /// The SVG document.
     pub svg: String,
 }
 
@@ -93,9 +97,7 @@ pub struct Figure {
 pub struct Lines {
     /// The file name without extension.
     pub name: String,
-    /// The names of the columns, with units.
     pub columns: Vec<&'static str>,
-    /// The lines in drawing order.
     pub lines: Vec<Line>,
 }
 

@@ -41,11 +41,8 @@ pub struct SensingComparison {
     pub all: Table,
     /// The table of the errors of the estimates, by set of policies.
     pub errors: Table,
-    /// Notes about the numbers.
     pub notes: Vec<String>,
-    /// The experiments that were run.
     pub experiments: Vec<&'static str>,
-    /// The checksum of the contact network.
     pub network: String,
     /// The time that the trials on estimates took \[s\].
     pub wall_s: f64,
@@ -55,16 +52,10 @@ impl SensingComparison {
     /// Creates a comparison without experiments, of the first two sets.
     pub fn new(policies: &PolicySets) -> Self {
         let compared = || policies.sets.iter().take(2);
-        let table = |name: &str, caption: &str, in_page| Table {
-            name: name.to_owned(),
-            caption: caption.to_owned(),
-            rows: Vec::new(),
-            in_page,
-        };
-        let labelled = || {
-            let members = compared().flat_map(|set| set.members.iter().map(move |member| (set, member)));
-            members.map(|(set, member)| (format!("{}-seed{}", set.name, member.seed), member.agent.sha256.as_str()))
-        };
+        let table = |name: &str, caption: &str, in_page| Table::new(name, caption, Vec::new(), in_page);
+        let members = compared().flat_map(|set| set.members.iter().map(move |member| (set, member)));
+        let labelled =
+            members.map(|(set, member)| (format!("{}-seed{}", set.name, member.seed), member.agent.sha256.as_str()));
         // Without a network no trial on estimates can have been played.
         let network = ContactNetwork::shipped().ok();
         SensingComparison {
@@ -81,7 +72,7 @@ impl SensingComparison {
                  vector in the base frame, height of the base, horizontal position at the end, contacts of all feet.",
                 true,
             ),
-            notes: network.iter().filter_map(|network| network.unfamiliar(labelled())).collect(),
+            notes: network.as_ref().and_then(|network| network.unfamiliar(labelled)).into_iter().collect(),
             experiments: Vec::new(),
             network: network.as_ref().map_or(String::new(), ContactNetwork::checksum),
             wall_s: 0.0,
@@ -94,31 +85,24 @@ impl SensingComparison {
         self.experiments.push(info.name);
         self.wall_s += estimated.wall_s;
         for (set, name) in self.set_names.iter().enumerate() {
-            let results = Results {
-                names: NAMES.map(ToOwned::to_owned).into(),
-                conditions: truth.results.conditions.clone(),
-                quantities: truth.results.quantities,
-                sets: vec![estimated.results.sets[set].clone(), truth.results.sets[set].clone()],
-            };
+            let sets = [estimated, truth].map(|measured| measured.results.sets[set].clone()).into();
+            let (conditions, quantities) = (truth.results.conditions.clone(), truth.results.quantities);
+            let results = Results { names: NAMES.map(ToOwned::to_owned).into(), conditions, quantities, sets };
             let content = experiment.content(&results);
             let of = format!("{} {}, {name}", info.id, info.name);
-            let ends = results.ends(0);
-            if ends.faults > 0 {
-                let EndCounts { faults, trials, .. } = ends;
-                self.notes.push(format!(
-                    "{of}: sensors or physics failed in {faults} of {trials} trials on estimates; they have no numbers."
-                ));
+            let EndCounts { faults, trials, .. } = results.ends(0);
+            if faults > 0 {
+                let failed = format!("sensors or physics failed in {faults} of {trials} trials on estimates");
+                self.notes.push(format!("{of}: {failed}; they have no numbers."));
             }
             self.notes.extend(content.notes.iter().map(|note| format!("{of}: {note}")));
-            let is_main = |quantity: Quantity| {
-                quantity == FELL || content.claims.iter().any(|claim| claim.quantity.name == quantity.name)
-            };
+            let is_claimed = |name: &str| content.claims.iter().any(|claim| claim.quantity.name == name);
             for table in &content.tables {
                 for row in &table.rows {
                     let place = if row.condition.is_empty() { String::new() } else { format!(", {}", row.condition) };
                     let condition = format!("{} {}{place}, {name}", info.id, info.name);
-                    let row = Row { condition, paper: String::new(), ..row.clone() };
-                    if table.in_page && is_main(row.quantity) {
+                    let row = Row::new(condition, row.quantity, row.comparison.clone());
+                    if table.in_page && (row.quantity == FELL || is_claimed(row.quantity.name)) {
                         self.main.rows.push(row.clone());
                     }
                     // Some experiments have a part of a table in the page and all of it in a file.
@@ -131,15 +115,15 @@ impl SensingComparison {
         for (quantity, of) in ERRORS {
             let sets = estimated.results.sets.iter().map(|set| Numbers::new(errors(set, of), set.len()));
             let condition = format!("{} {}", info.id, info.name);
-            let comparison = Comparison::new(sets.collect());
-            self.errors.rows.push(Row { condition, quantity, paper: String::new(), comparison });
+            self.errors.rows.push(Row::new(condition, quantity, Comparison::new(sets.collect())));
         }
     }
 
-    /// Returns the tables, each with the names of its sets.
-    pub fn tables(&self) -> [(&Table, Vec<String>); 3] {
+    /// Returns the tables, each with the names of its sets; none if no experiment was run.
+    pub fn tables(&self) -> Vec<(&Table, Vec<String>)> {
         let ways = || NAMES.map(ToOwned::to_owned).to_vec();
-        [(&self.main, ways()), (&self.errors, self.set_names.clone()), (&self.all, ways())]
+        let tables = vec![(&self.main, ways()), (&self.errors, self.set_names.clone()), (&self.all, ways())];
+        if self.experiments.is_empty() { Vec::new() } else { tables }
     }
 }
 
@@ -165,26 +149,17 @@ mod tests {
     /// hundredth of it.
     fn measurement(experiment: &dyn Experiment, value: f64, is_estimated: bool) -> Measurement {
         let conditions = experiment.conditions().unwrap();
-        let sample = |value: f64| Sample {
-            end: TrialEnd::Upright,
-            values: vec![Some(value); experiment.info().quantities.len()],
-            series: Vec::new(),
-            fault: None,
-            estimation: is_estimated.then_some(Estimation {
-                velocity_rmse_m_s: 0.01 * value,
-                height_rmse_m: 0.0,
-                drift_m: 0.0,
-                contact_f1: None,
-            }),
+        let sample = |value: f64| {
+            let (velocity_rmse_m_s, height_rmse_m, drift_m, contact_f1) = (0.01 * value, 0.0, 0.0, None);
+            let estimation = Estimation { velocity_rmse_m_s, height_rmse_m, drift_m, contact_f1 };
+            let sample = Sample::new(TrialEnd::Upright, vec![Some(value); experiment.info().quantities.len()]);
+            Sample { estimation: is_estimated.then_some(estimation), ..sample }
         };
         let policy = |value| vec![vec![sample(value); experiment.info().trials as usize]; conditions.len()];
         let set = |set: f64| BTreeMap::from([(0, policy(value + set)), (1, policy(value + set + 1.0))]);
-        let results = Results {
-            names: policy_sets().names(),
-            quantities: experiment.info().quantities,
-            sets: vec![set(0.0), set(10.0)],
-            conditions,
-        };
+        let (names, quantities, sets) =
+            (policy_sets().names(), experiment.info().quantities, vec![set(0.0), set(10.0)]);
+        let results = Results { names, quantities, sets, conditions };
         Measurement { results, wall_s: 1.0, revisions: Default::default() }
     }
 

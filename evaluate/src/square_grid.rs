@@ -1,9 +1,7 @@
 //! Values on a square grid, such as the success rate over pushes: the fraction above a level and its contour (Fig. 2).
 
-/// Values on a square grid with the same coordinates along both axes.
-#[derive(Debug, Clone, PartialEq)]
+/// Values on a square grid with the same coordinates, ascending, along both axes.
 pub struct SquareGrid {
-    /// The coordinates along either axis, ascending.
     pub coordinates: Vec<f64>,
     /// The values, shape (n, n), row-major: the row is the first coordinate (forward), the column the second (left).
     pub values: Vec<f64>,

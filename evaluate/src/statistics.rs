@@ -11,7 +11,7 @@ enough out, and all pairs have the same sign too often by chance: there is no in
 use std::collections::BTreeMap;
 
 use rand::RngExt;
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
 
 use supple::util::random::{Purpose, stream};
@@ -29,13 +29,11 @@ const ENOUGH_PAIRS: usize = 5;
 pub type PerSeed = BTreeMap<u64, f64>;
 
 /// The mean and standard deviation over seeds.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Spread {
-    /// The mean.
     pub mean: f64,
     /// The sample standard deviation; none with a single seed.
     pub sd: Option<f64>,
-    /// The number of seeds.
     pub seeds: usize,
 }
 
@@ -58,7 +56,7 @@ impl Spread {
 }
 
 /// An estimated number and its 95 % interval.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct IntervalEstimate {
     /// The value over all pairs of seeds.
     pub value: f64,
@@ -79,11 +77,10 @@ pub struct Trials {
 }
 
 /// The numbers of one set of policies in one quantity.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Numbers {
     /// The numbers of the policies that have one; empty for a number of all policies together.
     pub by_seed: PerSeed,
-    /// The mean and standard deviation of the numbers.
     pub spread: Option<Spread>,
     /// The number of policies of the set, with or without a number.
     pub members: usize,
@@ -110,9 +107,8 @@ impl Numbers {
 }
 
 /// The numbers of all sets of policies in one quantity, and the difference of the first two sets.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Comparison {
-    /// The numbers by set.
     pub sets: Vec<Numbers>,
     /// The first set minus the second, over the seeds that both have.
     pub difference: Option<IntervalEstimate>,
@@ -129,14 +125,11 @@ impl Comparison {
             [a, b, ..] => a.by_seed.iter().filter_map(|(seed, a)| Some([*a, *b.by_seed.get(seed)?])).collect(),
             _ => Vec::new(),
         };
-        let means = |chosen: &[usize]| {
-            let of = |which: usize| mean(chosen.iter().map(|pair| pairs[*pair][which]));
-            Some([of(0)?, of(1)?])
-        };
         let apart = |pair: &usize| pairs[*pair][0] - pairs[*pair][1];
         let difference = estimate(pairs.len(), |chosen| mean(chosen.iter().map(apart)));
         let relative = estimate(pairs.len(), |chosen| {
-            means(chosen).filter(|[a, b]| *a > 0.0 && *b > 0.0).map(|[a, b]| a / b - 1.0)
+            let of = |which: usize| mean(chosen.iter().map(|pair| pairs[*pair][which])).filter(|mean| *mean > 0.0);
+            Some(of(0)? / of(1)? - 1.0)
         });
         Comparison { sets, difference, relative, trials: None }
     }
@@ -205,12 +198,9 @@ pub fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
 }
 
 /// The expected side of the first set's number, seen from the second's: that of the paper, where it has the experiment.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Copy)]
 pub enum Expected {
-    /// The first set's number is higher.
     Higher,
-    /// The first set's number is lower.
     Lower,
 }
 
@@ -268,7 +258,6 @@ impl Verdict {
         }
     }
 
-    /// Returns the verdict as text.
     pub fn text(self) -> &'static str {
         match self {
             Verdict::AsExpected => "effect in the expected direction",

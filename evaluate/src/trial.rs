@@ -12,7 +12,7 @@ use supple::policy::Agent;
 use supple::scenario::catalog::{Scenario, ScriptError};
 use supple::scenario::estimation::Estimation;
 use supple::scenario::metrics::{self, Metric, PHASE_S};
-use supple::scenario::trace::{EventKind, Trace};
+use supple::scenario::trace::Trace;
 use supple::scenario::{Beginning, Playback, Script, Sensing, SensingError};
 use supple::util::random::{Purpose, stream};
 
@@ -47,11 +47,10 @@ pub enum TrialEnd {
 impl TrialEnd {
     /// Reads the end of a trial from its trace.
     pub fn from_trace(trace: &Trace) -> Self {
-        let happened = |kind| trace.events.iter().any(|event| event.kind == kind);
-        match (happened(EventKind::Fall), happened(EventKind::Fault)) {
-            (true, _) => TrialEnd::Fell,
-            (false, true) => TrialEnd::Fault,
-            (false, false) => TrialEnd::Upright,
+        match (trace.fall(), trace.fault()) {
+            (Some(_), _) => TrialEnd::Fell,
+            (None, Some(_)) => TrialEnd::Fault,
+            (None, None) => TrialEnd::Upright,
         }
     }
 
@@ -81,6 +80,13 @@ pub struct Sample {
     /// The errors of the state estimates; none if the policy acted on the true state.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub estimation: Option<Estimation>,
+}
+
+impl Sample {
+    /// Creates the sample of a trial without series, fault and estimates.
+    pub fn new(end: TrialEnd, values: Vec<Option<f64>>) -> Self {
+        Sample { end, values, series: Vec::new(), fault: None, estimation: None }
+    }
 }
 
 /// A trial that was played, from which an experiment takes its numbers.
@@ -119,11 +125,13 @@ impl<'a> Trial<'a> {
         self.is_upright().then(|| self.metric(name))?
     }
 
-    /// Returns the metrics of the quantities' names, none if the robot fell; the quantity [`FELL`] is always defined.
+    /// Returns the metrics of the quantities' names, none if the robot fell; [`FELL`] and `success`, no fall, are always defined.
     pub fn upright_metrics(&self, quantities: &[Quantity]) -> TrialValues {
-        let value = |quantity: &Quantity| match *quantity {
-            FELL => self.end.fell(),
-            quantity => self.upright_metric(quantity.name),
+        let value = |quantity: &Quantity| match quantity.name {
+            name if name == FELL.name => self.end.fell(),
+            "success" => Some(f64::from(u8::from(self.is_upright()))),
+            "velocity_error_m_s" => self.velocity_error(),
+            name => self.upright_metric(name),
         };
         quantities.iter().map(value).collect::<Vec<_>>().into()
     }
@@ -146,16 +154,17 @@ pub fn trial_seed(seed: u64, experiment: u32, condition: usize, trial: u32) -> u
 }
 
 /// Returns the scenario with its disturbance delayed by a random time, so that it comes at any phase of the gait.
-pub fn vary(scenario: &Scenario, seed: u64) -> Scenario {
+fn vary(scenario: &Scenario, seed: u64) -> Scenario {
     scenario.later(PHASE_S * stream(seed, Purpose::Scenario, 0, 2).random_range(0.0..1.0))
 }
 
 /// Returns the scenario and the script of a trial; none if the policy does not support its compliance, which is that behind the
 /// policy's name where the condition commands none.
-///
-/// # Errors
-/// A parameter of the scenario or the robot is invalid.
-pub fn set_up(condition: &Condition, seed: u64, agent: &Agent) -> Result<Option<(Scenario, Script)>, TrialError> {
+pub(crate) fn set_up(
+    condition: &Condition,
+    seed: u64,
+    agent: &Agent,
+) -> Result<Option<(Scenario, Script)>, TrialError> {
     let scenario = vary(&condition.scenario, seed);
     let mut script = scenario.script(seed, &agent.config)?;
     let Ok(compliance) = agent.resolve_compliance(script.command.compliance, None) else { return Ok(None) };
@@ -163,10 +172,13 @@ pub fn set_up(condition: &Condition, seed: u64, agent: &Agent) -> Result<Option<
     Ok(Some((scenario, script)))
 }
 
+/// A beginning that is played once, by the first trial that needs it.
+type SharedBeginning = Arc<OnceLock<Option<Beginning>>>;
+
 /// Undisturbed beginnings that trials of one policy share: a script without its disturbances, and what comes of it until the
 /// latest moment at which one of them may be disturbed; `None` if something happens before.
 #[derive(Debug, Default)]
-pub struct Beginnings(Mutex<Vec<(Script, Arc<OnceLock<Option<Beginning>>>)>>);
+pub struct Beginnings(Mutex<Vec<(Script, SharedBeginning)>>);
 
 impl Beginnings {
     /// Frees their memory.
@@ -215,7 +227,7 @@ impl Beginnings {
 /// Plays a trial of an experiment by its index over all conditions, each with all its trials, with a policy of a `seed`.
 ///
 /// # Errors
-/// The same as those of [`play`].
+/// A parameter of the scenario or the robot is invalid, the scene does not compile, or sensing cannot be simulated.
 pub fn play_at(
     index: usize,
     experiment: &dyn Experiment,
@@ -234,10 +246,7 @@ pub fn play_at(
 /// Plays a trial of an experiment; the compliance behind the policy's name is commanded where the condition requires none.
 /// On the true state, where nothing is random before the disturbance, trials share `beginnings` of the same policy and experiment,
 /// which gives the same bits sooner.
-///
-/// # Errors
-/// A parameter of the scenario or the robot is invalid, the scene does not compile, or sensing cannot be simulated.
-pub fn play(
+fn play(
     experiment: &dyn Experiment,
     condition: &Condition,
     seed: u64,
@@ -246,8 +255,7 @@ pub fn play(
     beginnings: Option<&Beginnings>,
 ) -> Result<Sample, TrialError> {
     let Some((scenario, mut script)) = set_up(condition, seed, agent)? else {
-        let values = vec![None; experiment.info().quantities.len()];
-        return Ok(Sample { end: TrialEnd::OutOfReach, values, series: Vec::new(), fault: None, estimation: None });
+        return Ok(Sample::new(TrialEnd::OutOfReach, vec![None; experiment.info().quantities.len()]));
     };
     // End the playback at the last measured instant or at the fall.
     script.duration_s = experiment.until_s(&script);

@@ -7,11 +7,11 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 
-use serde_json::Value;
+use serde_json::{Value, json};
 use supple::config::{Config, Precision};
 use supple::policy::Policy;
 use supple::policy::compliance::{Point, PolicyCalibration};
-use supple_evaluate::experiments::Protocol;
+use supple_evaluate::protocol::Protocol;
 use support::{broken_policy, complaint, example, run, standing_policy, zero_policy};
 
 /// The smallest protocol that runs every experiment.
@@ -48,41 +48,75 @@ fn falling_policy() -> Policy {
     zero_policy(config)
 }
 
-/// Returns a folder with the tiny protocol and policies by file name.
-fn folder_with(policies: &[(&str, Policy)]) -> tempfile::TempDir {
-    let folder = tempfile::tempdir().unwrap();
-    std::fs::write(folder.path().join("tiny.yaml"), TINY).unwrap();
-    std::fs::create_dir(folder.path().join("policies")).unwrap();
-    for (name, policy) in policies {
-        policy.save(&folder.path().join("policies").join(name)).unwrap();
+/// A folder with the tiny protocol and policies, in which `evaluate` runs.
+struct Place(tempfile::TempDir);
+
+impl Place {
+    /// Creates a folder with policies `policies/NAME.safetensors`.
+    fn new(policies: &[(&str, Policy)]) -> Self {
+        let place = Place(tempfile::tempdir().unwrap());
+        place.write("tiny.yaml", TINY);
+        for (name, policy) in policies {
+            place.save(&format!("policies/{name}"), policy);
+        }
+        place
     }
-    folder
-}
 
-/// Returns a folder with the tiny protocol and policies `compliant-seed0` and `baseline-seed0`.
-fn folder_with_pair(compliant: Policy, baseline: Policy) -> tempfile::TempDir {
-    folder_with(&[("compliant-seed0.safetensors", compliant), ("baseline-seed0.safetensors", baseline)])
-}
+    /// Creates a folder with policies `compliant-seed0` and `baseline-seed0`.
+    fn with_pair(compliant: Policy, baseline: Policy) -> Self {
+        Place::new(&[("compliant-seed0", compliant), ("baseline-seed0", baseline)])
+    }
 
-fn attempt(folder: &Path, arguments: &[&str]) -> Output {
-    run("evaluate", folder, &[&["--protocol", "tiny.yaml"], arguments].concat())
-}
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
 
-/// Runs `evaluate`, which has to refuse its arguments with these words.
-fn refuses(folder: &Path, arguments: &[&str], expected: &str) {
-    let output = attempt(folder, arguments);
-    assert!(output.status.code() == Some(2) && complaint(&output).contains(expected), "{}", complaint(&output));
-}
+    fn read(&self, name: &str) -> String {
+        std::fs::read_to_string(self.path(name)).unwrap()
+    }
 
-/// Runs `evaluate`, which has to succeed, and returns its notes.
-fn evaluate(folder: &Path, arguments: &[&str]) -> String {
-    let output = attempt(folder, arguments);
-    assert!(output.status.success(), "{}", complaint(&output));
-    complaint(&output)
-}
+    fn write(&self, name: &str, bytes: impl AsRef<[u8]>) {
+        let path = self.path(name);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(path, bytes).unwrap();
+    }
 
-fn summary(folder: &Path, out: &str) -> Value {
-    serde_json::from_slice(&std::fs::read(folder.join(out).join("summary.json")).unwrap()).unwrap()
+    fn save(&self, name: &str, policy: &Policy) {
+        self.write(&format!("{name}.safetensors"), policy.to_bytes().unwrap());
+    }
+
+    /// Runs `evaluate` with the tiny protocol.
+    fn attempt(&self, arguments: &[&str]) -> Output {
+        run("evaluate", self.0.path(), &[&["--protocol", "tiny.yaml"], arguments].concat())
+    }
+
+    /// Runs `evaluate`, which has to refuse its arguments with these words.
+    fn refuses(&self, arguments: &[&str], expected: &str) {
+        let output = self.attempt(arguments);
+        assert!(output.status.code() == Some(2) && complaint(&output).contains(expected), "{}", complaint(&output));
+    }
+
+    /// Runs `evaluate` with arguments without spaces, which has to succeed, and returns its notes.
+    fn evaluate(&self, arguments: &str) -> String {
+        let output = self.attempt(&arguments.split_whitespace().collect::<Vec<_>>());
+        assert!(output.status.success(), "{}", complaint(&output));
+        complaint(&output)
+    }
+
+    fn summary(&self, out: &str) -> Value {
+        serde_json::from_str(&self.read(&format!("{out}/summary.json"))).unwrap()
+    }
+
+    /// Returns every kept measurement with the time it was written.
+    fn kept(&self, out: &str) -> Vec<(PathBuf, std::time::SystemTime)> {
+        let entries = |folder: &Path| std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+        let folders = entries(&self.path(out).join("results")).filter(|entry| entry.is_dir());
+        let files = folders.flat_map(|folder| entries(&folder).collect::<Vec<_>>());
+        let files = files.filter(|file| file.extension().is_some_and(|extension| extension == "json"));
+        let mut files: Vec<_> = files.map(|it| (it.clone(), it.metadata().unwrap().modified().unwrap())).collect();
+        files.sort();
+        files
+    }
 }
 
 fn experiment<'a>(summary: &'a Value, name: &str) -> &'a Value {
@@ -95,28 +129,16 @@ fn row<'a>(of: &'a Value, table: &str, condition: &str, quantity: &str) -> &'a V
     &rows.find(|row| row["condition"] == condition && row["quantity"] == quantity).unwrap()["ours"]
 }
 
-/// Returns every kept measurement with the time it was written.
-fn kept(out: &Path) -> Vec<(PathBuf, std::time::SystemTime)> {
-    let entries = |folder: &Path| std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
-    let mut files: Vec<(PathBuf, std::time::SystemTime)> = entries(&out.join("results"))
-        .filter(|entry| entry.is_dir())
-        .flat_map(|folder| entries(&folder).collect::<Vec<_>>())
-        .filter(|file| file.extension().is_some_and(|extension| extension == "json"))
-        .map(|file| (file.clone(), std::fs::metadata(&file).unwrap().modified().unwrap()))
-        .collect();
-    files.sort();
-    files
-}
-
 #[test]
 fn examination_grades_a_policy_beside_the_references() {
-    let folder = folder_with(&[("mine.safetensors", falling_policy())]);
-    let tiny = format!("{TINY}calibration: {{compliances: [0.02], commands_m_s: [0.5], directions: 3}}\n");
-    std::fs::write(folder.path().join("tiny.yaml"), tiny).unwrap();
-    let notes = evaluate(folder.path(), &["--exam", "policies/mine.safetensors", "--out", "exam"]);
-    let read = |name: &str| std::fs::read_to_string(folder.path().join("exam").join(name)).unwrap();
-    let exam: Value = serde_json::from_str(&read("exam.json")).unwrap();
-    assert_eq!(exam["names"], serde_json::json!(["mine", "compliant", "baseline"]));
+    let place = Place::new(&[("mine", falling_policy())]);
+    place.write(
+        "tiny.yaml",
+        format!("{TINY}calibration: {{compliances: [0.02], commands_m_s: [0.5], directions: 3}}\n"),
+    );
+    let notes = place.evaluate("--exam policies/mine.safetensors --out exam");
+    let exam: Value = serde_json::from_str(&place.read("exam/exam.json")).unwrap();
+    assert_eq!(exam["names"], json!(["mine", "compliant", "baseline"]));
     assert_eq!(exam["grades"].as_array().unwrap().len(), 8);
     for grade in exam["grades"].as_array().unwrap() {
         let [mine, compliant, baseline] = [0, 1, 2].map(|set| &grade["scores"][set]);
@@ -131,62 +153,39 @@ fn examination_grades_a_policy_beside_the_references() {
     }
     let samples = |set: usize| exam["training"][set]["samples"][0].as_u64();
     assert!(samples(0) == Some(20_000_000) && samples(1) > Some(20_000_000), "{exam}");
-    let page = read("exam.html");
+    let page = place.read("exam/exam.html");
     assert!(page.contains("<td>20 M</td>"), "{page}");
     // The note about the policies is no fault.
     let note = "the contact network was not trained on how mine";
     assert!(notes.contains(note) && page.contains(note) && exam["notes"].to_string().contains(note), "{notes}");
-    assert_eq!(exam["faults"], serde_json::json!([]));
+    assert_eq!(exam["faults"], json!([]));
     assert!(page.contains("--exam policies/mine.safetensors --protocol tiny.yaml --out exam"), "{page}");
-    assert!(folder.path().join("exam/exam.png").metadata().unwrap().len() > 10_000);
+    assert!(place.path("exam/exam.png").metadata().unwrap().len() > 10_000);
     // A film, or a note that says why there is none; it is as wide as its six pictures.
-    match std::fs::read(folder.path().join("exam/fall.png")) {
+    match std::fs::read(place.path("exam/fall.png")) {
         Ok(png) => assert_eq!((&png[16..24], page.contains("fall.png")), (&[0, 0, 7, 128, 0, 0, 0, 240][..], true)),
         Err(_) => assert!(notes.contains("no film of a fall: cannot draw a picture"), "{notes}"),
     }
 }
 
 #[test]
-fn claims_stand_beside_those_of_an_equal_report() {
-    let folder = folder_with_pair(standing_policy(), standing_policy());
-    let folder = folder.path();
-    evaluate(folder, &["decay", "--out", "there"]);
-    evaluate(folder, &["decay", "leash", "--out", "here", "--beside", "There=there"]);
-    let table = std::fs::read_to_string(folder.join("here/tables/beside.md")).unwrap();
-    let row = |experiment: &str| -> Vec<&str> {
-        let line = table.lines().find(|line| line.contains(experiment)).unwrap();
-        line.split('|').map(str::trim).collect()
-    };
-    let [decay, leash] = ["E2", "E5"].map(row);
-    assert!(table.contains("| There |"));
-    assert_eq!(decay[3], decay[4]);
-    assert_ne!(leash[3], leash[4]);
-    assert_eq!(leash[4], "–");
-
-    refuses(folder, &["decay", "--out", "here", "--beside", "There=nowhere"], "nowhere/summary.json");
-}
-
-#[test]
 fn equal_evaluations_give_equal_summaries() {
-    let folder = folder_with(&[
-        ("compliant-seed0.safetensors", standing_policy()),
-        ("compliant-seed1.safetensors", standing_policy()),
-        ("baseline-seed0.safetensors", standing_policy()),
-        ("baseline-seed1.safetensors", falling_policy()),
+    let place = Place::new(&[
+        ("compliant-seed0", standing_policy()),
+        ("compliant-seed1", standing_policy()),
+        ("baseline-seed0", standing_policy()),
+        ("baseline-seed1", falling_policy()),
     ]);
-    let folder = folder.path();
-    let cheap: Vec<&str> = CHEAP.split(' ').collect();
     for (out, threads) in [("one", "1"), ("two", "2")] {
-        evaluate(folder, &[&cheap[..], &["--out", out, "--threads", threads]].concat());
+        place.evaluate(&format!("{CHEAP} --out {out} --threads {threads}"));
     }
-    let bytes = |out: &str| std::fs::read(folder.join(out).join("summary.json")).unwrap();
-    assert!(bytes("one") == bytes("two"), "the summaries differ");
+    let first = place.read("one/summary.json");
+    assert!(first == place.read("two/summary.json"), "the summaries differ");
 
-    let summary = summary(folder, "one");
-    let all = Protocol::quick().unwrap();
-    let not_run =
-        all.experiments().into_iter().map(|experiment| experiment.info().name).filter(|name| !cheap.contains(name));
-    assert_eq!(summary["not_run"], serde_json::json!(not_run.collect::<Vec<_>>()));
+    let (summary, all) = (place.summary("one"), Protocol::quick().unwrap());
+    let cheap: Vec<&str> = CHEAP.split(' ').collect();
+    let names = all.experiments().into_iter().map(|experiment| experiment.info().name);
+    assert_eq!(summary["not_run"], json!(names.filter(|name| !cheap.contains(name)).collect::<Vec<_>>()));
     // Seed 0 is the same policy in both sets: paired trials are equal.
     let decay = &row(experiment(&summary, "decay"), "decay", "0.5 m/s to the left", "decay_10_s")["sets"];
     assert!(decay["compliant"]["by_seed"]["0"].is_number());
@@ -195,62 +194,59 @@ fn equal_evaluations_give_equal_summaries() {
     assert_eq!(experiment(&summary, "decay")["trials"]["baseline"]["falls"], 2);
 
     // Finished measurements are kept; `--again` repeats them.
-    let out = folder.join("one");
-    let before = kept(&out);
+    let before = place.kept("one");
     // Seed 0 of both sets is the same policy, which is measured once.
     assert_eq!(before.len(), cheap.len() * 3);
-    let first = bytes("one");
-    evaluate(folder, &[&cheap[..], &["--out", "one"]].concat());
-    assert!(kept(&out) == before && bytes("one") == first);
-    evaluate(folder, &["walk", "--out", "one", "--again"]);
-    assert!(bytes("one") == first);
-    assert_eq!(kept(&out).iter().zip(&before).filter(|(a, b)| a != b).count(), 3);
+    place.evaluate(&format!("{CHEAP} --out one"));
+    assert!(place.kept("one") == before && place.read("one/summary.json") == first);
+    place.evaluate("walk --out one --again");
+    assert!(place.read("one/summary.json") == first);
+    assert_eq!(place.kept("one").iter().zip(&before).filter(|(a, b)| a != b).count(), 3);
 
     // A damaged measurement is repeated.
     let (damaged, _) = &before[0];
     let whole = std::fs::read(damaged).unwrap();
     std::fs::write(damaged, &whole[..whole.len() / 2]).unwrap();
-    evaluate(folder, &[&cheap[..], &["--out", "one"]].concat());
-    assert!(bytes("one") == first);
+    place.evaluate(&format!("{CHEAP} --out one"));
+    assert!(place.read("one/summary.json") == first);
 }
 
 #[test]
 fn two_processes_share_a_folder_without_repeating_work() {
-    let folder = folder_with_pair(standing_policy(), falling_policy());
-    let folder = folder.path();
-    let spawn = |arguments: &[&str]| {
-        let arguments = [&["--protocol", "tiny.yaml", "--out", "shared"], arguments].concat();
+    let place = Place::with_pair(standing_policy(), falling_policy());
+    let spawn = |experiments: &[&str]| {
         let mut command = Command::new(support::program("evaluate"));
-        command.args(arguments).current_dir(folder).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap()
+        command.args(["--protocol", "tiny.yaml", "--out", "shared"]).args(experiments).current_dir(place.path(""));
+        command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap()
     };
     // The process that ends last reports everything.
-    evaluate(folder, &["walk", "decay", "leash", "box", "--out", "alone"]);
+    place.evaluate("walk decay leash box --out alone");
     let mut both = [spawn(&["walk", "box"]), spawn(&["decay", "leash"])];
     assert!(both.iter_mut().all(|process| process.wait().unwrap().success()));
-    assert!(summary(folder, "shared") == summary(folder, "alone"));
+    assert!(place.summary("shared") == place.summary("alone"));
 
     // A process waits for another one that measures the same experiment, and reads its results.
-    let [measured, place] = ["alone", "shared"].map(|out| folder.join(out).join("results/walk"));
-    std::fs::remove_dir_all(&place).unwrap();
-    std::fs::create_dir(&place).unwrap();
-    let lock = std::fs::File::create(place.join(".lock")).unwrap();
+    let [measured, shared] = ["alone", "shared"].map(|out| place.path(out).join("results/walk"));
+    std::fs::remove_dir_all(&shared).unwrap();
+    std::fs::create_dir(&shared).unwrap();
+    let lock = std::fs::File::create(shared.join(".lock")).unwrap();
     lock.lock().unwrap();
-    std::fs::write(place.join(".lock"), "process 7 on elsewhere").unwrap();
+    std::fs::write(shared.join(".lock"), "process 7 on elsewhere").unwrap();
     let waiting = spawn(&["walk"]);
     let is_waiting =
         |text: String| text.lines().any(|line| line.contains("->") && line.contains(&format!(" {} ", waiting.id())));
     while !is_waiting(std::fs::read_to_string("/proc/locks").unwrap()) {
         std::thread::sleep(std::time::Duration::from_millis(5));
     }
-    for (file, _) in kept(&folder.join("alone")).iter().filter(|(file, _)| file.starts_with(&measured)) {
-        std::fs::copy(file, place.join(file.file_name().unwrap())).unwrap();
+    for (file, _) in place.kept("alone").iter().filter(|(file, _)| file.starts_with(&measured)) {
+        std::fs::copy(file, shared.join(file.file_name().unwrap())).unwrap();
     }
-    let before = kept(&folder.join("shared"));
+    let before = place.kept("shared");
     drop(lock);
     let output = waiting.wait_with_output().unwrap();
-    assert!(output.status.success() && kept(&folder.join("shared")) == before);
+    assert!(output.status.success() && place.kept("shared") == before);
     assert!(complaint(&output).contains("waiting for process 7 on elsewhere, which measures walk"));
-    assert!(summary(folder, "shared") == summary(folder, "alone"));
+    assert!(place.summary("shared") == place.summary("alone"));
 }
 
 #[test]
@@ -265,80 +261,75 @@ fn slurm_recipe_has_a_task_for_every_experiment() {
 
 #[test]
 fn report_page_opens_in_a_browser() {
-    let folder = folder_with(&[("standing.safetensors", standing_policy()), ("falling.safetensors", falling_policy())]);
-    let folder = folder.path();
-    let sets = ["--a", "policies/standing.safetensors", "--b", "policies/falling.safetensors"];
-    let rest = ["--names", "standing,falling", "--out", "report", "--results", "results.md"];
-    evaluate(folder, &[&sets[..], &rest].concat());
+    let place = Place::new(&[("standing", standing_policy()), ("falling", falling_policy())]);
+    place.evaluate(
+        "--a policies/standing.safetensors --b policies/falling.safetensors --names standing,falling --out report \
+         --results results.md",
+    );
 
-    let summary = summary(folder, "report");
+    let summary = place.summary("report");
     let notes = |name: &str| experiment(&summary, name)["notes"].to_string();
     let of_all = summary["notes"].to_string();
     assert!(of_all.contains("standing, seed 0, does not walk at its command: its velocity error is 0.50 m/s"));
     assert!(of_all.contains("falling, seed 0, falls without any disturbance"), "{of_all}");
     assert!(notes("box").contains("falling fell in every trial"));
-    let quantity = |name: &str, quantity: &str, set: &str| {
-        let condition = if name == "box" { "friction 0.6" } else { "" };
-        row(experiment(&summary, name), name, condition, quantity)["sets"][set]["mean"].clone()
-    };
-    assert_eq!(quantity("ball-pit", "stuck", "standing"), 100.0);
-    assert_eq!(quantity("ball-pit", "fell", "falling"), 100.0);
-    assert_eq!(quantity("ball-pit", "peak_foot_force_n", "falling"), Value::Null);
-    assert_eq!(quantity("box", "box_displacement_m", "falling"), Value::Null);
-    assert_eq!(
-        quantity("box", "box_displacement_m", "standing"),
-        Value::Null,
-        "a box that was not met has no displacement"
-    );
+    for (name, condition, quantity, set, expected) in [
+        ("ball-pit", "", "stuck", "standing", json!(100.0)),
+        ("ball-pit", "", "fell", "falling", json!(100.0)),
+        ("ball-pit", "", "peak_foot_force_n", "falling", Value::Null),
+        ("box", "friction 0.6", "box_displacement_m", "falling", Value::Null),
+        // A box that was not met has no displacement.
+        ("box", "friction 0.6", "box_displacement_m", "standing", Value::Null),
+    ] {
+        let found = row(experiment(&summary, name), name, condition, quantity);
+        assert_eq!(found["sets"][set]["mean"], expected, "{name}: {quantity} of {set}");
+    }
     let claims = experiment(&summary, "decay")["claims"].to_string();
     assert!(claims.contains("\"verdict\":\"undefined\""), "{claims}");
 
-    let report = folder.join("report");
-    let drawn: BTreeSet<String> = std::fs::read_dir(report.join("figures"))
-        .unwrap()
-        .map(|entry| entry.unwrap().path().file_stem().unwrap().to_string_lossy().into_owned())
-        .collect();
-    for experiment in summary["experiments"].as_array().unwrap() {
-        let name = experiment["name"].as_str().unwrap();
+    let entries = std::fs::read_dir(place.path("report/figures")).unwrap().map(|entry| entry.unwrap().path());
+    let drawn: BTreeSet<String> = entries.map(|it| it.file_stem().unwrap().to_string_lossy().into_owned()).collect();
+    let experiments = summary["experiments"].as_array().unwrap().iter();
+    let names: Vec<&str> = experiments.map(|experiment| experiment["name"].as_str().unwrap()).collect();
+    for name in &names {
         assert!(drawn.iter().any(|figure| figure.starts_with(name)), "{name} has no figure");
     }
     for figure in FIGURES.split_whitespace() {
         assert!(drawn.contains(figure), "{figure} is missing");
     }
     for figure in &drawn {
-        let mut experiments = summary["experiments"].as_array().unwrap().iter();
-        assert!(experiments.any(|experiment| figure.starts_with(experiment["name"].as_str().unwrap())), "{figure}");
-        let svg = std::fs::read_to_string(report.join(format!("figures/{figure}.svg"))).unwrap();
+        assert!(names.iter().any(|name| figure.starts_with(name)), "{figure}");
+        let svg = place.read(&format!("report/figures/{figure}.svg"));
         assert!(svg.starts_with("<svg") && !svg.contains("NaN"), "{figure}");
-        let png = std::fs::read(report.join(format!("figures/{figure}.png"))).unwrap();
+        let png = std::fs::read(place.path(&format!("report/figures/{figure}.png"))).unwrap();
         assert!(png.starts_with(b"\x89PNG") && png.len() > 5000, "{figure}");
     }
     for table in ["claims", "walk", "push-grid-points", "table4", "leash-all", "terrain"] {
-        assert!(
-            report.join(format!("tables/{table}.csv")).exists() && report.join(format!("tables/{table}.md")).exists()
-        );
+        assert!(["csv", "md"].iter().all(|kind| place.path(&format!("report/tables/{table}.{kind}")).exists()));
     }
     // The points of figures' lines are in files.
-    let points = std::fs::read_to_string(report.join("tables/decay-curves.csv")).unwrap();
+    let points = place.read("report/tables/decay-curves.csv");
     let [head, first] = points.lines().take(2).collect::<Vec<_>>()[..] else { panic!("{points}") };
     assert_eq!(head, "line,time_s,mean_m_s,least_m_s,largest_m_s");
     assert!(first.starts_with("\"0.5 m/s to the left: standing, seed 0, 2 runs\",-0.98"), "{first}");
     let paths = experiment(&summary, "box")["lines"][0]["lines"].as_array().unwrap();
     assert!(paths[0]["label"] == "standing, seed 0, trial 0" && paths[0]["rows"].as_array().unwrap().len() > 100);
-    let page = std::fs::read_to_string(report.join("report.html")).unwrap();
+    let page = place.read("report/report.html");
     let sha256 = summary["policies"][0]["sha256"].as_str().unwrap();
     for words in [sha256, "Definitions", "Time for all trials", "Measured by revision", "<dd>6 × 1 × 2</dd>"] {
         assert!(page.contains(words), "{words}");
     }
-    let document = std::fs::read_to_string(folder.join("results.md")).unwrap();
-    assert!(document.contains("measured by revision"), "{document}");
-    assert!(document.contains("--results results.md") && document.contains("| E1 Fig. 2 |"), "{document}");
+    let document = place.read("results.md");
+    for words in ["measured by revision", "--results results.md", "| E1 Fig. 2 |"] {
+        assert!(document.contains(words), "{document}");
+    }
     for figure in ["decay", "push-grid"] {
         assert!(document.contains(&format!("](images/{figure}.png)")), "{document}");
-        let drawn = report.join(format!("figures/{figure}.png"));
-        assert_eq!(std::fs::read(folder.join(format!("images/{figure}.png"))).unwrap(), std::fs::read(drawn).unwrap());
+        let [image, drawn] =
+            ["images", "report/figures"].map(|at| std::fs::read(place.path(&format!("{at}/{figure}.png"))));
+        assert_eq!(image.unwrap(), drawn.unwrap());
     }
-    check_page(&report.join("report.html"), &drawn);
+    check_page(&place.path("report/report.html"), &drawn);
 }
 
 /// Checks the page in headless Chromium: no figure is cut off, nothing is fetched, and the console is silent.
@@ -362,7 +353,7 @@ fn check_page(page: &Path, drawn: &BTreeSet<String>) {
     let names = figures.iter().map(|figure| figure["name"].as_str().unwrap().to_owned());
     assert_eq!(&names.collect::<BTreeSet<_>>(), drawn);
     for figure in figures {
-        assert_eq!(figure["cut"], serde_json::json!([]), "text outside of the drawing: {figure}");
+        assert_eq!(figure["cut"], json!([]), "text outside of the drawing: {figure}");
         let [width, height, right] = ["width", "height", "right"].map(|key| figure[key].as_f64().unwrap());
         assert!(width > 300.0 && height > 100.0 && right <= found["width"].as_f64().unwrap() + 1.0, "{figure}");
     }
@@ -381,14 +372,9 @@ fn browse(page: &Path) -> Option<(String, String)> {
     }
     let profile = tempfile::tempdir().unwrap();
     let output = Command::new(chromium)
-        .args(["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"])
+        .args(["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--dump-dom"])
         .args(["--disable-background-networking", "--disable-component-update", "--disable-sync"])
-        .args([
-            "--allow-file-access-from-files",
-            "--enable-logging=stderr",
-            "--virtual-time-budget=10000",
-            "--dump-dom",
-        ])
+        .args(["--allow-file-access-from-files", "--enable-logging=stderr", "--virtual-time-budget=10000"])
         .arg(format!("--user-data-dir={}", profile.path().display()))
         .arg(format!("file://{}", page.display()))
         .output()
@@ -399,18 +385,17 @@ fn browse(page: &Path) -> Option<(String, String)> {
 
 #[test]
 fn estimated_sensing_is_reported_beside_the_true_state() {
-    let folder = folder_with_pair(standing_policy(), falling_policy());
-    let folder = folder.path();
-    evaluate(folder, &["walk", "leash", "--out", "report"]);
-    let plain = summary(folder, "report");
+    let place = Place::with_pair(standing_policy(), falling_policy());
+    place.evaluate("walk leash --out report");
+    let plain = place.summary("report");
     assert_eq!(plain.get("sensing"), None);
-    assert!(!folder.join("report/tables/sensing.csv").exists());
+    assert!(!place.path("report/tables/sensing.csv").exists());
 
-    evaluate(folder, &["walk", "--sensing", "estimated", "--out", "report", "--results", "results.md"]);
-    let both = summary(folder, "report");
+    place.evaluate("walk --sensing estimated --out report --results results.md");
+    let both = place.summary("report");
     assert_eq!(both["experiments"], plain["experiments"]);
     let sensing = &both["sensing"];
-    assert_eq!(sensing["experiments"], serde_json::json!(["walk"]));
+    assert_eq!(sensing["experiments"], json!(["walk"]));
     let power = row(sensing, "sensing-all", "E0 walk, standing, compliant", "power_w");
     let [estimated, truth] = ["estimated", "true state"].map(|way| power["sets"][way]["mean"].as_f64().unwrap());
     assert_eq!(estimated, truth, "estimates do not change a policy that ignores its observation");
@@ -421,19 +406,19 @@ fn estimated_sensing_is_reported_beside_the_true_state() {
     let velocity = row(sensing, "sensing-errors", "E0 walk", "estimate_velocity_rmse_m_s");
     assert!(velocity["sets"]["compliant"]["mean"].as_f64().unwrap() < 0.05, "{velocity}");
     for name in ["sensing", "sensing-all", "sensing-errors"] {
-        assert!(folder.join(format!("report/tables/{name}.csv")).exists(), "{name}");
+        assert!(place.path(&format!("report/tables/{name}.csv")).exists(), "{name}");
     }
-    let page = std::fs::read_to_string(folder.join("report/report.html")).unwrap();
+    let page = place.read("report/report.html");
     assert!(page.contains("E12 Acting on sensors") && page.contains("<th>true state</th>"));
-    let document = std::fs::read_to_string(folder.join("results.md")).unwrap();
+    let document = place.read("results.md");
     assert!(document.contains("## E12: acting on sensors"), "{document}");
-    assert!(!folder.join("images").exists(), "neither of the document's figures was asked for");
+    assert!(!place.path("images").exists(), "neither of the document's figures was asked for");
 
     // The section stays in the report, and its experiments are not repeated.
-    let before = kept(&folder.join("report"));
-    evaluate(folder, &["leash", "--out", "report"]);
-    assert!(kept(&folder.join("report")) == before);
-    assert_eq!(summary(folder, "report")["sensing"], *sensing);
+    let before = place.kept("report");
+    place.evaluate("leash --out report");
+    assert!(place.kept("report") == before);
+    assert_eq!(place.summary("report")["sensing"], *sensing);
 }
 
 #[test]
@@ -445,64 +430,66 @@ fn missing_seed_is_left_out_of_differences_only() {
     config.ppo.precision = Precision::Mixed;
     let mut baseline = zero_policy(config);
     baseline.provenance.samples = 60_006_400;
-    let folder = folder_with(&[
-        ("compliant-seed0.safetensors", standing_policy()),
-        ("compliant-seed3.safetensors", standing_policy()),
-        ("baseline-seed0.safetensors", baseline),
-        ("other.safetensors", standing_policy()),
+    let place = Place::new(&[
+        ("compliant-seed0", standing_policy()),
+        ("compliant-seed3", standing_policy()),
+        ("baseline-seed0", baseline),
+        ("other", standing_policy()),
     ]);
-    let notes = evaluate(folder.path(), &["walk", "--out", "report"]);
-    assert!(notes.contains("baseline has no policy of seed 3"), "{notes}");
-    let summary = summary(folder.path(), "report");
+    let printed = place.evaluate("walk --out report");
+    assert!(printed.contains("baseline has no policy of seed 3"), "{printed}");
+    let summary = place.summary("report");
     let notes = summary["notes"].to_string();
-    assert!(notes.contains("no policy of seed 3") && notes.contains("other.safetensors was left out"), "{notes}");
-    assert!(notes.contains("not trained alike") && notes.contains("configurations differ in ppo.epochs\""), "{notes}");
-    assert!(notes.contains("compliant, seeds 0 and 3, are one policy"), "{notes}");
+    for words in [
+        "no policy of seed 3",
+        "other.safetensors was left out",
+        "not trained alike",
+        "configurations differ in ppo.epochs\"",
+        "compliant, seeds 0 and 3, are one policy",
+        "compliant, seed 3, was trained with seed 0",
+    ] {
+        assert!(notes.contains(words), "{words}: {notes}");
+    }
     let samples = "compliant has 20 million samples, baseline 60 million: differences may come from that";
     assert_eq!((&summary["notes"][0], &summary["training"][1]["samples"][0]), (&samples.into(), &60_006_400.into()));
-    assert_eq!(summary["differing_keys"], serde_json::json!(["ppo.epochs"]));
-    assert!(notes.contains("compliant, seed 3, was trained with seed 0"), "{notes}");
+    assert_eq!(summary["differing_keys"], json!(["ppo.epochs"]));
     let power = row(experiment(&summary, "walk"), "walk", "forward 0.5", "power_w");
     assert_eq!(power["sets"]["compliant"]["by_seed"].as_object().unwrap().len(), 2);
-    assert_eq!(power["difference"], serde_json::json!({"value": 0.0, "interval": null, "pairs": 1}));
-    let page = std::fs::read_to_string(folder.path().join("report/report.html")).unwrap();
+    assert_eq!(power["difference"], json!({"value": 0.0, "interval": null, "pairs": 1}));
+    let page = place.read("report/report.html");
     assert!(page.contains("no policy of seed 3") && page.contains("<td>60 M</td>"), "{page}");
 
     // With another set in the same folder, figures of experiments that it has not run are removed.
-    let figure = folder.path().join("report/figures/walk.png");
+    let figure = place.path("report/figures/walk.png");
     assert!(figure.exists());
-    falling_policy().save(&folder.path().join("policies/compliant-seed0.safetensors")).unwrap();
-    evaluate(folder.path(), &["table4", "--out", "report"]);
+    place.save("policies/compliant-seed0", &falling_policy());
+    place.evaluate("table4 --out report");
     assert!(!figure.exists());
-    let page = std::fs::read_to_string(folder.path().join("report/report.html")).unwrap();
     let command = "evaluate -- walk --policies policies --protocol tiny.yaml --out report";
-    assert!(page.contains(command), "the page has the commands of missing experiments");
+    assert!(place.read("report/report.html").contains(command), "the page has the commands of missing experiments");
 }
 
 #[test]
 fn shipped_policies_are_compared_without_a_folder() {
-    let folder = folder_with(&[]);
-    std::fs::remove_dir(folder.path().join("policies")).unwrap();
-    evaluate(folder.path(), &["walk", "--out", "report"]);
-    assert_eq!(summary(folder.path(), "report")["policies"].as_array().unwrap().len(), 10);
+    let place = Place::new(&[]);
+    place.evaluate("walk --out report");
+    assert_eq!(place.summary("report")["policies"].as_array().unwrap().len(), 10);
     // The command that makes the report again.
-    let page = std::fs::read_to_string(folder.path().join("report/report.html")).unwrap();
+    let page = place.read("report/report.html");
     assert!(page.contains(" --protocol tiny.yaml --out report") && !page.contains("--policies"));
 }
 
 #[test]
 fn third_set_leaves_the_compared_two_unchanged() {
-    let folder = folder_with_pair(standing_policy(), standing_policy());
-    let folder = folder.path();
-    std::fs::create_dir(folder.join("fallen")).unwrap();
-    falling_policy().save(&folder.join("fallen/policy-seed0.safetensors")).unwrap();
-    let experiments = ["walk", "push-grid", "decay", "leash", "box"];
-    evaluate(folder, &[&experiments[..], &["--out", "two"]].concat());
-    let also = ["--also", "lying=fallen", "--also", "more=fallen/policy-seed0.safetensors", "--out", "four"];
-    evaluate(folder, &[&experiments[..], &also, &["--results", "results.md"]].concat());
+    let place = Place::with_pair(standing_policy(), standing_policy());
+    place.save("fallen/policy-seed0", &falling_policy());
+    let experiments = "walk push-grid decay leash box";
+    place.evaluate(&format!("{experiments} --out two"));
+    let also = "--also lying=fallen --also more=fallen/policy-seed0.safetensors";
+    place.evaluate(&format!("{experiments} {also} --out four --results results.md"));
 
-    let (two, four) = (summary(folder, "two"), summary(folder, "four"));
-    assert_eq!(four["sets"], serde_json::json!(["compliant", "baseline", "lying", "more"]));
+    let (two, four) = (place.summary("two"), place.summary("four"));
+    assert_eq!(four["sets"], json!(["compliant", "baseline", "lying", "more"]));
     assert_eq!(four["policies"].as_array().unwrap().len(), 4);
     let falls = |summary: &Value| row(experiment(summary, "walk"), "walk", "forward 0.5", "fell").clone();
     assert_eq!(falls(&four)["sets"]["lying"]["mean"], 100.0);
@@ -514,64 +501,56 @@ fn third_set_leaves_the_compared_two_unchanged() {
         claims.map(|claim| (claim["verdict"].clone(), claim["ours"]["difference"].clone())).collect::<Vec<_>>()
     };
     assert_eq!(verdicts(&four), verdicts(&two));
-    let head = std::fs::read_to_string(folder.join("four/tables/walk.csv")).unwrap();
+    let head = place.read("four/tables/walk.csv");
     assert!(head.contains(",baseline_seeds,lying_mean,lying_sd,lying_seeds,more_mean,"), "{head}");
-    for figure in ["walk", "push-grid", "leash", "box", "decay"] {
-        let svg = std::fs::read_to_string(folder.join(format!("four/figures/{figure}.svg"))).unwrap();
+    for figure in experiments.split(' ') {
+        let svg = place.read(&format!("four/figures/{figure}.svg"));
         assert!(svg.contains("lying") && svg.contains("more") && !svg.contains("NaN"), "{figure}");
     }
-    let page = std::fs::read_to_string(folder.join("four/report.html")).unwrap();
+    let page = place.read("four/report.html");
     assert!(page.contains("compliant against baseline and lying and more") && page.contains("<th>lying</th>"));
-    let document = std::fs::read_to_string(folder.join("results.md")).unwrap();
-    assert!(
-        document.contains("falls, more") && document.contains("difference [95 % interval], compliant and baseline")
-    );
+    let document = place.read("results.md");
+    for words in ["falls, more", "difference [95 % interval], compliant and baseline"] {
+        assert!(document.contains(words), "{document}");
+    }
 
     for (also, expected) in [
         ("lying", "expected NAME=PATH"),
         ("baseline=fallen", "--also baseline: another set has this name"),
         ("lying=nowhere", "there is no policy 'nowhere'"),
     ] {
-        refuses(folder, &["walk", "--also", also], expected);
+        place.refuses(&["walk", "--also", also], expected);
     }
 }
 
 #[test]
 fn set_with_commanded_compliance_is_measured_apart() {
-    let folder = folder_with(&[
-        ("compliant-seed0.safetensors", standing_policy()),
-        ("baseline-seed0.safetensors", falling_policy()),
-        ("baseline-seed1.safetensors", falling_policy()),
-    ]);
-    let folder = folder.path();
+    let place = Place::with_pair(standing_policy(), falling_policy());
+    place.save("policies/baseline-seed1", &falling_policy());
     let calibrate = |own: f64| {
         let points = [0.01, 0.05].map(|c| Point { commanded: c, measured: [c; 2] }).to_vec();
-        let sha256 = standing_policy().sha256().to_owned();
-        let calibration =
-            PolicyCalibration { sha256, mass_kg: 12.0, own_m_s_per_n: [own; 2], tracking: [1.0; 2], points };
-        let text = serde_json::to_string(&calibration).unwrap();
-        std::fs::write(folder.join("policies/compliant-seed0.calibration.json"), text).unwrap();
+        let (sha256, own_m_s_per_n) = (standing_policy().sha256().to_owned(), [own; 2]);
+        let calibration = PolicyCalibration { sha256, mass_kg: 12.0, own_m_s_per_n, tracking: [1.0; 2], points };
+        place.write("policies/compliant-seed0.calibration.json", serde_json::to_string(&calibration).unwrap());
     };
     calibrate(0.02);
-    let soft = ["leash", "--also", "soft=policies/compliant@0.03", "--out", "report"];
-    evaluate(folder, &soft);
-    let found = summary(folder, "report");
+    let soft = "leash --also soft=policies/compliant@0.03 --out report";
+    place.evaluate(soft);
+    let found = place.summary("report");
     let notes = found["notes"].to_string();
     assert!(notes.contains("soft has a commanded compliance of 0.03 m/s/N") && !notes.contains("left out"), "{notes}");
+    // A policy that ignores its observation does not yield.
     let offset = &row(experiment(&found, "leash"), "leash", "20 N", "offset_m_s")["sets"];
-    assert_eq!(
-        offset["soft"]["by_seed"], offset["compliant"]["by_seed"],
-        "a policy that ignores its observation does not yield"
-    );
+    assert_eq!(offset["soft"]["by_seed"], offset["compliant"]["by_seed"]);
     // The policy with and without commanded compliance has separate measurements.
-    let before = kept(&folder.join("report"));
+    let before = place.kept("report");
     assert_eq!(before.len(), 4);
-    evaluate(folder, &soft);
-    assert!(kept(&folder.join("report")) == before);
+    place.evaluate(soft);
+    assert!(place.kept("report") == before);
     // A new calibration makes the measurement stale where compliance is commanded.
     calibrate(0.021);
-    evaluate(folder, &soft);
-    assert_eq!(kept(&folder.join("report")).len(), 5);
+    place.evaluate(soft);
+    assert_eq!(place.kept("report").len(), 5);
 
     for (path, expected) in [
         ("policies/compliant@0.06", "policies/compliant-seed0.safetensors: compliance 0.06 m/s/N is out of range"),
@@ -579,42 +558,35 @@ fn set_with_commanded_compliance_is_measured_apart() {
         ("policies/nobody@0.03", "there is no policy 'policies/nobody'"),
     ] {
         for sets in [&["--also", &format!("soft={path}")][..], &["--a", path, "--b", "policies/baseline"]] {
-            refuses(folder, &[&["leash", "--out", "x"], sets].concat(), expected);
-            assert!(!folder.join("x").exists());
+            place.refuses(&[&["leash", "--out", "x"], sets].concat(), expected);
+            assert!(!place.path("x").exists());
         }
     }
 }
 
 #[test]
 fn evaluate_compares_an_external_policy_with_ours() {
-    let folder = tempfile::tempdir().unwrap();
-    example(folder.path(), "rsl_rl");
-    standing_policy().save(&folder.path().join("b.safetensors")).unwrap();
-    std::fs::write(folder.path().join("tiny.yaml"), "walk: {commands: [[0.0, 0.0, 0.0]]}\n").unwrap();
-    let arguments = ["walk", "--protocol", "tiny.yaml", "--a", "rsl_rl.yaml", "--b", "b.safetensors"];
-    let output = run("evaluate", folder.path(), &arguments);
-    assert!(output.status.success(), "{}", complaint(&output));
-    let summary: Value =
-        serde_json::from_slice(&std::fs::read(folder.path().join("report/summary.json")).unwrap()).unwrap();
+    let place = Place::new(&[]);
+    example(&place.path(""), "rsl_rl");
+    place.save("b", &standing_policy());
+    place.write("tiny.yaml", "walk: {commands: [[0.0, 0.0, 0.0]]}\n");
+    place.evaluate("walk --a rsl_rl.yaml --b b.safetensors");
+    let summary = place.summary("report");
     assert_eq!(summary["policies"][0]["config"], "external", "{summary}");
     assert_eq!(summary["policies"][0]["samples"], Value::Null);
 }
 
 #[test]
 fn invalid_arguments_exit_with_code_2() {
-    let folder = folder_with_pair(standing_policy(), standing_policy());
-    let folder = folder.path();
-    for name in ["empty", "lone", "nan", "twice"] {
-        std::fs::create_dir(folder.join(name)).unwrap();
-    }
-    standing_policy().save(&folder.join("lone/compliant-seed0.safetensors")).unwrap();
+    let place = Place::with_pair(standing_policy(), standing_policy());
+    std::fs::create_dir(place.path("empty")).unwrap();
     let mut poisoned = standing_policy();
     poisoned.actor.layers[0].weight[0] = f32::NAN;
-    std::fs::write(folder.join("nan/compliant-seed0.safetensors"), poisoned.to_bytes().unwrap()).unwrap();
-    standing_policy().save(&folder.join("nan/baseline-seed0.safetensors")).unwrap();
-    standing_policy().save(&folder.join("twice/a-seed1.safetensors")).unwrap();
-    standing_policy().save(&folder.join("twice/b-seed1.safetensors")).unwrap();
-    std::fs::write(folder.join("odd.yaml"), "box: {trials: 0}\n").unwrap();
+    place.save("nan/compliant-seed0", &poisoned);
+    for name in ["lone/compliant-seed0", "nan/baseline-seed0", "twice/a-seed1", "twice/b-seed1"] {
+        place.save(name, &standing_policy());
+    }
+    place.write("odd.yaml", "box: {trials: 0}\n");
     let cases: [(&[&str], &str); 10] = [
         (&["--policies", "nowhere"], "cannot read the policies in nowhere"),
         (&["--policies", "empty"], "empty has no policy compliant-seedN.safetensors"),
@@ -631,22 +603,21 @@ fn invalid_arguments_exit_with_code_2() {
         (&["--protocol", "nowhere.yaml"], "cannot read protocol nowhere.yaml"),
     ];
     for (arguments, expected) in cases {
-        let output = run("evaluate", folder, &[arguments, &["--out", "x"]].concat());
+        let output = run("evaluate", &place.path(""), &[arguments, &["--out", "x"]].concat());
         let complaint = complaint(&output);
         assert_eq!(output.status.code(), Some(2), "{arguments:?}: {complaint}");
         assert!(complaint.contains(expected), "{arguments:?}: {complaint}");
         assert_eq!(complaint.lines().count(), 1, "{complaint}");
-        assert!(!folder.join("x").exists(), "{arguments:?} left a folder");
+        assert!(!place.path("x").exists(), "{arguments:?} left a folder");
     }
 }
 
 #[test]
 fn faults_are_named_and_end_with_two() {
-    let folder = folder_with(&[("standing.safetensors", standing_policy())]);
-    let folder = folder.path();
-    broken_policy(folder);
+    let place = Place::new(&[("standing", standing_policy())]);
+    broken_policy(&place.path(""));
     let sets = ["--a", "broken.yaml", "--b", "policies/standing.safetensors", "--names", "mine,ours"];
-    let output = attempt(folder, &[&["walk", "--out", "report"], &sets[..]].concat());
+    let output = place.attempt(&[&["walk", "--out", "report"], &sets[..]].concat());
     let words = complaint(&output);
     assert_eq!(output.status.code(), Some(2), "{words}");
     // Twenty trials of two commands.
@@ -659,46 +630,39 @@ fn faults_are_named_and_end_with_two() {
     let table = String::from_utf8(output.stdout).unwrap();
     assert!(table.contains("Walking") && table.contains("does not hold for"), "{table}");
     assert!(table.lines().all(|line| line.chars().count() <= 80), "{table}");
-    let walk = summary(folder, "report");
-    let walk = experiment(&walk, "walk");
-    assert_eq!((&walk["trials"]["mine"]["faults"], &walk["trials"]["ours"]["faults"]), (&40.into(), &0.into()));
-    let page = std::fs::read_to_string(folder.join("report/report.html")).unwrap();
-    assert!(page.contains("FR_hip is NaN"));
+    let summary = place.summary("report");
+    let trials = &experiment(&summary, "walk")["trials"];
+    assert_eq!((&trials["mine"]["faults"], &trials["ours"]["faults"]), (&40.into(), &0.into()));
+    assert!(place.read("report/report.html").contains("FR_hip is NaN"));
 }
 
 #[test]
 fn names_and_labels_are_checked_before_measuring() {
-    let folder = folder_with_pair(standing_policy(), standing_policy());
-    let folder = folder.path();
+    let place = Place::with_pair(standing_policy(), standing_policy());
     let long = "n".repeat(41);
     let pair = ["--a", "policies/compliant-seed0.safetensors", "--b", "policies/baseline-seed0.safetensors"];
     for name in ["a\u{7}", "a\nb", &long] {
-        refuses(
-            folder,
-            &[&["walk", "--out", "r", "--names", &format!("{name},b")], &pair[..]].concat(),
-            "--names: the name",
-        );
+        let names = ["walk", "--out", "r", "--names", &format!("{name},b")];
+        place.refuses(&[&names, &pair[..]].concat(), "--names: the name");
         let also = format!("{name}=policies/baseline-seed0.safetensors");
-        refuses(folder, &["walk", "--out", "r", "--also", &also], "--also: the name");
+        place.refuses(&["walk", "--out", "r", "--also", &also], "--also: the name");
     }
     for results in [".", "nowhere/x.md"] {
-        refuses(folder, &["walk", "--out", "r", "--results", results], &format!("--results {results}: "));
+        place.refuses(&["walk", "--out", "r", "--results", results], &format!("--results {results}: "));
     }
-    assert!(!folder.join("r").exists());
+    assert!(!place.path("r").exists());
     // A label with all its zeros would be longer than its figure is wide.
-    std::fs::write(folder.join("tiny.yaml"), "wall: {commands_m_s: [1.0e-300], trials: 1}").unwrap();
-    evaluate(folder, &["wall", "--out", "r"]);
-    assert!(std::fs::read_to_string(folder.join("r/figures/wall.svg")).unwrap().contains("1e-300 m/s"));
+    place.write("tiny.yaml", "wall: {commands_m_s: [1.0e-300], trials: 1}");
+    place.evaluate("wall --out r");
+    assert!(place.read("r/figures/wall.svg").contains("1e-300 m/s"));
 }
 
 #[test]
 fn first_study_of_the_manual_plays_in_miniature() {
     let page = include_str!("../../docs/first-study.md");
     let (_, rest) = page.split_once("```yaml\n").unwrap();
-    let folder = tempfile::tempdir().unwrap();
-    let write = |name: &str, text: &str| std::fs::write(folder.path().join(name), text).unwrap();
-    write("variants.yaml", rest.split_once("```").unwrap().0);
-    write("tiny.yaml", TINY);
+    let place = Place::new(&[]);
+    place.write("variants.yaml", rest.split_once("```").unwrap().0);
     let commands = page.lines().filter_map(|line| line.strip_prefix("cargo run --release --bin "));
     let mut printed = String::new();
     for command in commands.clone() {
@@ -707,14 +671,14 @@ fn first_study_of_the_manual_plays_in_miniature() {
         // Cargo builds the programs of a workspace into one folder.
         let program = Path::new(env!("CARGO_BIN_EXE_evaluate")).with_file_name(name);
         assert!(program.is_file(), "build {} first: cargo build --workspace", program.display());
-        let output = Command::new(program).current_dir(folder.path()).args(small.split(' ')).output().unwrap();
+        let output = Command::new(program).current_dir(place.path("")).args(small.split(' ')).output().unwrap();
         assert!(output.status.success(), "{command}: {}", complaint(&output));
         printed.push_str(&String::from_utf8(output.stdout).unwrap());
     }
     assert_eq!(commands.count(), 4);
-    assert!(folder.path().join("curves/learning-samples.png").is_file());
-    assert!(folder.path().join("study/report.html").is_file() && printed.contains("fast-thrifty"), "{printed}");
-    let summary = summary(folder.path(), "study");
+    assert!(place.path("curves/learning-samples.png").is_file());
+    assert!(place.path("study/report.html").is_file() && printed.contains("fast-thrifty"), "{printed}");
+    let summary = place.summary("study");
     let policies = |set: &str| summary["policies"].as_array().unwrap().iter().filter(|it| it["set"] == set).count();
     assert_eq!((policies("fast-thrifty"), policies("fast-plain")), (3, 3));
     assert!(summary["differing_keys"].to_string().contains("reward.energy"), "{}", summary["differing_keys"]);

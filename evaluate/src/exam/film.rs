@@ -54,7 +54,7 @@ impl Exam {
     /// # Errors
     /// The trial cannot be played, or nothing can be drawn here (the error says what to install).
     pub fn first_fall(&self, store: &MeasurementStore) -> Result<Option<Film>, FilmError> {
-        let mut worst: Option<(f64, Fall<'_>)> = None;
+        let mut worst: Option<(f64, Part<'_>, [usize; 2])> = None;
         for (name, way, _) in DISCIPLINES.iter().flat_map(|discipline| self.playable(discipline)) {
             let part = self.part(name, *way);
             let measured = runner::finished(part.experiment, part.policies, store, part.sensing)?;
@@ -65,62 +65,50 @@ impl Exam {
                 let fell = |sample: &&trial::Sample| sample.end == TrialEnd::Fell;
                 let Some(trial) = samples.iter().position(|sample| fell(&sample)) else { continue };
                 let fraction = samples.iter().filter(fell).count() as f64 / samples.len() as f64;
-                if worst.as_ref().is_none_or(|(most, _)| fraction > *most) {
-                    worst = Some((fraction, Fall { part: self.part(name, *way), condition, trial }));
+                if worst.as_ref().is_none_or(|(most, ..)| fraction > *most) {
+                    worst = Some((fraction, self.part(name, *way), [condition, trial]));
                 }
             }
         }
-        worst.map(|(_, fall)| fall.draw()).transpose()
+        worst.map(|(_, part, at)| draw(&part, at)).transpose()
     }
 }
 
-/// A trial in which the examined policy falls.
-struct Fall<'a> {
-    part: Part<'a>,
-    condition: usize,
-    trial: usize,
-}
-
-impl Fall<'_> {
-    fn draw(&self) -> Result<Film, FilmError> {
-        let Part { experiment, policies, sensing, .. } = self.part;
-        let (info, condition) = (experiment.info(), &experiment.conditions().map_err(RunError::from)?[self.condition]);
-        let member = &policies.sets[0].members[0];
-        let seed = trial::trial_seed(member.seed, info.number, self.condition, self.trial as u32);
-        let (_, mut script) = trial::set_up(condition, seed, &member.agent)?.ok_or(FilmError::NoFall)?;
-        script.after_fall_s = AFTER_FALL_S;
-        let playback = Playback::new(&script, &member.agent.config, member.agent.controller())?;
-        let playback = playback.with_sensing(sensing, seed).map_err(TrialError::from)?;
-        let trace = playback.with_bodies().trace();
-        let fall = trace.events.iter().find(|event| event.kind == EventKind::Fall).ok_or(FilmError::NoFall)?;
-        let mut renderer = Renderer::new(script.scene.compile_visual()?, SIZE)?;
-        let [width, height] = SIZE.map(|pixels| pixels as u32);
-        let mut strip =
-            Pixmap::new(width * TIMES_S.len() as u32, height).ok_or(FilmError::Encode("it is too large".into()))?;
-        for (index, time_s) in TIMES_S.iter().enumerate() {
-            let later = trace.frames.partition_point(|frame| frame.time_s < fall.time_s + time_s);
-            let frame = &trace.frames[later.min(trace.frames.len() - 1)];
-            let poses: Vec<[f32; 7]> = frame.bodies.iter().map(Pose::row).collect();
-            let picture = renderer.picture(&poses, &camera(frame), &[])?;
-            for (row, line) in picture.chunks_exact(3 * SIZE[0]).enumerate() {
-                let start = row * SIZE[0] * TIMES_S.len() + index * SIZE[0];
-                for (pixel, colour) in strip.pixels_mut()[start..][..SIZE[0]].iter_mut().zip(line.chunks_exact(3)) {
-                    *pixel = ColorU8::from_rgba(colour[0], colour[1], colour[2], 255).premultiply();
-                }
+/// Draws the fall of the examined policy in a trial of a condition.
+fn draw(part: &Part<'_>, [index, trial]: [usize; 2]) -> Result<Film, FilmError> {
+    let Part { experiment, policies, sensing, .. } = *part;
+    let (info, condition) = (experiment.info(), &experiment.conditions().map_err(RunError::from)?[index]);
+    let member = &policies.sets[0].members[0];
+    let seed = trial::trial_seed(member.seed, info.number, index, trial as u32);
+    let (_, mut script) = trial::set_up(condition, seed, &member.agent)?.ok_or(FilmError::NoFall)?;
+    script.after_fall_s = AFTER_FALL_S;
+    let playback = Playback::new(&script, &member.agent.config, member.agent.controller())?;
+    let playback = playback.with_sensing(sensing, seed).map_err(TrialError::from)?;
+    let trace = playback.with_bodies().trace();
+    let fall = trace.events.iter().find(|event| event.kind == EventKind::Fall).ok_or(FilmError::NoFall)?;
+    let mut renderer = Renderer::new(script.scene.compile_visual()?, SIZE)?;
+    let [width, height] = SIZE.map(|pixels| pixels as u32);
+    let mut strip =
+        Pixmap::new(width * TIMES_S.len() as u32, height).ok_or(FilmError::Encode("it is too large".into()))?;
+    for (index, time_s) in TIMES_S.iter().enumerate() {
+        let later = trace.frames.partition_point(|frame| frame.time_s < fall.time_s + time_s);
+        let frame = &trace.frames[later.min(trace.frames.len() - 1)];
+        let poses: Vec<[f32; 7]> = frame.bodies.iter().map(Pose::row).collect();
+        let picture = renderer.picture(&poses, &camera(frame), &[])?;
+        for (row, line) in picture.chunks_exact(3 * SIZE[0]).enumerate() {
+            let start = row * SIZE[0] * TIMES_S.len() + index * SIZE[0];
+            for (pixel, colour) in strip.pixels_mut()[start..][..SIZE[0]].iter_mut().zip(line.chunks_exact(3)) {
+                *pixel = ColorU8::from_rgba(colour[0], colour[1], colour[2], 255).premultiply();
             }
         }
-        let caption = format!(
-            "The first fall in the condition in which it falls most often: {}, {}, trial {} (seed {seed}), {:.2} s after its start: {}. The \
-             pictures are at {} s from the fall.",
-            info.title,
-            condition.label,
-            self.trial + 1,
-            fall.time_s,
-            fall.text,
-            TIMES_S.map(|time| format!("{time:+.2}")).join(", ").replace('-', "−"),
-        );
-        Ok(Film { caption, png: strip.encode_png().map_err(|error| FilmError::Encode(error.into()))? })
     }
+    let (title, label, count, after_s) = (info.title, &condition.label, trial + 1, fall.time_s);
+    let (text, times) = (&fall.text, TIMES_S.map(|time| format!("{time:+.2}")).join(", ").replace('-', "−"));
+    let caption = format!(
+        "The first fall in the condition in which it falls most often: {title}, {label}, trial {count} (seed {seed}), \
+             {after_s:.2} s after its start: {text}. The pictures are at {times} s from the fall."
+    );
+    Ok(Film { caption, png: strip.encode_png().map_err(|error| FilmError::Encode(error.into()))? })
 }
 
 /// Returns a camera beside the robot, behind and above.

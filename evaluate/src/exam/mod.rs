@@ -54,15 +54,18 @@ enum Pass {
     Yields,
 }
 
+use Pass::{Is, Tracks, Yields};
+use Way::{Losses, Nominal, Sensors};
+
 impl Pass {
     /// Returns whether a trial is passed; none if it does not count. A trial that failed, or whose compliance the policy does not
     /// support, is not passed.
     fn judge(self, results: &Results, condition: &Condition, sample: &Sample) -> Option<bool> {
         let value = |name| sample.values[results.index(name)];
         let passed = match self {
-            Pass::Is(quantity) => value(quantity) == Some(1.0),
-            Pass::Tracks => value("velocity_error_m_s").is_some_and(|error| error <= ERROR_BOUND_M_S),
-            Pass::Yields => {
+            Is(quantity) => value(quantity) == Some(1.0),
+            Tracks => value("velocity_error_m_s").is_some_and(|error| error <= ERROR_BOUND_M_S),
+            Yields => {
                 let Scenario::Leash(_) = condition.scenario else { return None };
                 let commanded = condition.scenario.task().compliance?;
                 let near = |measured: f64| (measured / commanded - 1.0).abs() <= COMPLIANCE_TOLERANCE;
@@ -84,55 +87,53 @@ pub struct Discipline {
     parts: &'static [(&'static str, Way, Pass)],
 }
 
+/// The robot is across the obstacles.
+const CROSSED: Pass = Is("crossed");
+
+/// The robot does not fall.
+const SUCCESS: Pass = Is("success");
+
 /// All disciplines in the order of the page.
 pub const DISCIPLINES: &[Discipline] = &[
     Discipline {
         name: "tracking",
         description: "16 commands: velocity error of at most 0.1 m/s, no fall",
-        parts: &[("walk", Way::Nominal, Pass::Tracks)],
+        parts: &[("walk", Nominal, Tracks)],
     },
     Discipline {
         name: "pushes",
         description: "velocity offsets up to ± 1.5 m/s forward and sideways: no fall",
-        parts: &[("push-grid", Way::Nominal, Pass::Is("success"))],
+        parts: &[("push-grid", Nominal, SUCCESS)],
     },
     Discipline {
         name: "pulls",
         description: "20, 40 and 60 N for 5 s from 12 sides: no fall",
-        parts: &[("pull", Way::Nominal, Pass::Is("survived"))],
+        parts: &[("pull", Nominal, Is("survived"))],
     },
     Discipline {
         name: "obstacles",
         description: "ball pit, loose blocks and mats: gets across",
-        parts: &[("ball-pit", Way::Nominal, Pass::Is("crossed")), ("rubble", Way::Nominal, Pass::Is("crossed"))],
+        parts: &[("ball-pit", Nominal, CROSSED), ("rubble", Nominal, CROSSED)],
     },
     Discipline {
         name: "ground",
         description: "uneven ground of 5 and 10 cm, hills of 20 %: no fall",
-        parts: &[("terrain", Way::Nominal, Pass::Is("success")), ("outdoor", Way::Nominal, Pass::Is("success"))],
+        parts: &[("terrain", Nominal, SUCCESS), ("outdoor", Nominal, SUCCESS)],
     },
     Discipline {
         name: "sensors",
         description: "tracking and obstacles with the state estimated from noisy sensors",
-        parts: &[
-            ("walk", Way::Sensors, Pass::Tracks),
-            ("ball-pit", Way::Sensors, Pass::Is("crossed")),
-            ("rubble", Way::Sensors, Pass::Is("crossed")),
-        ],
+        parts: &[("walk", Sensors, Tracks), ("ball-pit", Sensors, CROSSED), ("rubble", Sensors, CROSSED)],
     },
     Discipline {
         name: "joint losses",
         description: "tracking, pushes and obstacles with realistic friction and damping in the joints",
-        parts: &[
-            ("walk", Way::Losses, Pass::Tracks),
-            ("push-grid", Way::Losses, Pass::Is("success")),
-            ("rubble", Way::Losses, Pass::Is("crossed")),
-        ],
+        parts: &[("walk", Losses, Tracks), ("push-grid", Losses, SUCCESS), ("rubble", Losses, CROSSED)],
     },
     Discipline {
         name: "compliance",
         description: "0.01, 0.03 and 0.05 m/s/N commanded: measured within 25 %, walking and standing",
-        parts: &[("calibration", Way::Nominal, Pass::Yields)],
+        parts: &[("calibration", Nominal, Yields)],
     },
 ];
 
@@ -242,8 +243,7 @@ impl Exam {
         let alone = PolicySets::from_paths(std::slice::from_ref(&own))?;
         let members = &alone.sets[0].members;
         let [member] = &members[..] else {
-            let (path, first) = (policy.to_owned(), members[0].file.clone());
-            return Err(PolicySetError::Several { path, found: members.len(), first });
+            return Err(PolicySetError::Several(policy.to_owned(), members.len(), members[0].file.clone()));
         };
         let folder = if member.agent.config.robot.model == "go2" { "go2/" } else { "" };
         let reference = |kind: &str| (format!("{folder}{kind}"), PathBuf::from(format!("{folder}{kind}-seed0")));
@@ -253,7 +253,12 @@ impl Exam {
         let nominal = PolicySets::from_paths(&sets)?;
         let cannot_sense = cannot_sense(&nominal);
         let can_sense = cannot_sense.is_none();
-        let notes = nominal.notes.iter().cloned().chain(cannot_sense.or_else(|| unfamiliar_gaits(&nominal))).collect();
+        let of_gaits = || {
+            // Without a network the trials on sensors fail, with the reason.
+            let members = nominal.members().map(|(set, member)| (set.name.clone(), member.agent.sha256.as_str()));
+            ContactNetwork::shipped().ok()?.unfamiliar(members)
+        };
+        let notes = nominal.notes.iter().cloned().chain(cannot_sense.or_else(of_gaits)).collect();
         let mut of_true_state = protocol.clone();
         of_true_state.walk.trials = 1;
         Ok(Exam { notes, protocol, of_true_state, nominal, with_losses, can_sense })
@@ -262,7 +267,7 @@ impl Exam {
     /// Returns the parts of a discipline that can be played.
     fn playable(&self, discipline: &Discipline) -> impl Iterator<Item = &'static (&'static str, Way, Pass)> + use<> {
         let can_sense = self.can_sense;
-        discipline.parts.iter().filter(move |(_, way, _)| can_sense || *way != Way::Sensors)
+        discipline.parts.iter().filter(move |(_, way, _)| can_sense || *way != Sensors)
     }
 
     /// Returns what is played: experiments with the policies and the state they act on, each once.
@@ -273,15 +278,15 @@ impl Exam {
     }
 
     fn part(&self, name: &str, way: Way) -> Part<'_> {
-        let protocol = if way == Way::Sensors { &self.protocol } else { &self.of_true_state };
+        let protocol = if way == Sensors { &self.protocol } else { &self.of_true_state };
         let experiment = protocol.experiments().into_iter().find(|experiment| experiment.info().name == name);
         // A test grades every discipline.
         let experiment = experiment.unwrap_or_else(|| panic!("no experiment {name}"));
-        let policies = if way == Way::Losses { &self.with_losses } else { &self.nominal };
+        let policies = if way == Losses { &self.with_losses } else { &self.nominal };
         let (sensing, way) = match way {
-            Way::Nominal => (Sensing::True, ""),
-            Way::Sensors => (Sensing::Estimated, ON_SENSORS),
-            Way::Losses => (Sensing::True, " with joint losses"),
+            Nominal => (Sensing::True, ""),
+            Sensors => (Sensing::Estimated, ON_SENSORS),
+            Losses => (Sensing::True, " with joint losses"),
         };
         Part { experiment, policies, sensing, way }
     }
@@ -314,23 +319,10 @@ impl Exam {
 
 /// Returns a note that names a policy whose robot cannot act on its sensors; none if all can.
 fn cannot_sense(policies: &PolicySets) -> Option<String> {
-    let note = |(set, member): (&PolicySet, &SetMember)| {
-        let rate_hz = f64::from(member.agent.config.simulation.physics_rate_hz);
-        let name = &set.name;
-        (rate_hz != RATE_HZ).then(|| {
-            format!(
-                "no policy is graded on sensors: the physics of {name} run at {rate_hz} Hz, the contact network at {RATE_HZ} Hz"
-            )
-        })
-    };
-    policies.members().find_map(note)
-}
-
-/// Returns a note that names the policies whose gait the contact network was not trained on; none if it knows all.
-fn unfamiliar_gaits(policies: &PolicySets) -> Option<String> {
-    // Without a network the trials on sensors fail, with the reason.
-    let network = ContactNetwork::shipped().ok()?;
-    network.unfamiliar(policies.members().map(|(set, member)| (set.name.clone(), member.agent.sha256.as_str())))
+    let rate_hz = |member: &SetMember| f64::from(member.agent.config.simulation.physics_rate_hz);
+    let (PolicySet { name, .. }, member) = policies.members().find(|(_, member)| rate_hz(member) != RATE_HZ)?;
+    let rates = format!("the physics of {name} run at {} Hz, the contact network at {RATE_HZ} Hz", rate_hz(member));
+    Some(format!("no policy is graded on sensors: {rates}"))
 }
 
 #[cfg(test)]
@@ -348,12 +340,10 @@ mod tests {
 
     /// Returns the results of an experiment of the protocol with one sample in one condition.
     fn judged(
-        name: &str,
+        (name, condition): (&str, usize),
         pass: Pass,
-        condition: usize,
         end: TrialEnd,
-        quantity: &str,
-        value: Option<f64>,
+        (quantity, value): (&str, Option<f64>),
     ) -> Option<bool> {
         let protocol = Protocol::exam(None).unwrap();
         let experiment = protocol.experiments().into_iter().find(|experiment| experiment.info().name == name).unwrap();
@@ -361,22 +351,20 @@ mod tests {
         let results = Results { names: vec![], conditions, quantities, sets: vec![] };
         let mut values = vec![None; quantities.len()];
         values[results.index(quantity)] = value;
-        let sample = Sample { end, values, series: vec![], fault: None, estimation: None };
+        let sample = Sample::new(end, values);
         pass.judge(&results, &results.conditions[condition], &sample)
     }
 
     #[test]
     fn trials_are_passed_by_their_own_rule() {
-        let walk = |error| judged("walk", Pass::Tracks, 0, TrialEnd::Upright, "velocity_error_m_s", error);
+        let walk = |error| judged(("walk", 0), Tracks, TrialEnd::Upright, ("velocity_error_m_s", error));
         assert_eq!([walk(Some(0.1)), walk(Some(0.11)), walk(None)], [Some(true), Some(false), Some(false)]);
-        let pit = |end| judged("ball-pit", Pass::Is("crossed"), 0, end, "crossed", Some(1.0));
-        assert_eq!(
-            [TrialEnd::Upright, TrialEnd::Fell, TrialEnd::Fault].map(pit),
-            [Some(true), Some(false), Some(false)]
-        );
+        let pit = |end| judged(("ball-pit", 0), CROSSED, end, ("crossed", Some(1.0)));
+        let ends = [TrialEnd::Upright, TrialEnd::Fell, TrialEnd::Fault];
+        assert_eq!(ends.map(pit), [Some(true), Some(false), Some(false)]);
         // The first condition commands 0.01 m/s/N and pulls; the last one pushes.
         let yields = |condition, end, measured| {
-            judged("calibration", Pass::Yields, condition, end, "compliance_m_s_per_n", Some(measured))
+            judged(("calibration", condition), Yields, end, ("compliance_m_s_per_n", Some(measured)))
         };
         assert_eq!(yields(0, TrialEnd::Upright, 0.0124), Some(true));
         assert_eq!(yields(0, TrialEnd::Upright, 0.0126), Some(false));

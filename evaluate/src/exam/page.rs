@@ -6,13 +6,12 @@ use maud::{Markup, PreEscaped, html};
 
 use super::film::Film;
 use super::{DISCIPLINES, Examination, Grade, Score};
-use crate::plot::png::Renderer;
 use crate::plot::svg::{Anchor, Stroke, Svg, Text};
 use crate::plot::{GREY, INK, LARGE, PALE, SMALL, WIDTH, colour, shortened};
 use crate::policy_sets::Training;
 use crate::report::html::{scrolled, sets_table, styled};
-use crate::report::{ReportError, text as plain_text, write};
-use crate::section_content::NOTHING;
+use crate::report::{ReportError, text as plain_text, write, write_figure};
+use crate::section_content::{Figure, NOTHING};
 
 /// The height of a bar \[px\].
 const BAR: f64 = 13.0;
@@ -26,13 +25,10 @@ const SCALE: [f64; 2] = [150.0, 500.0];
 /// # Errors
 /// A file cannot be written, or the figure cannot be rendered.
 pub fn save(examination: &Examination, film: Option<&Film>, command: &str, folder: &Path) -> Result<(), ReportError> {
-    let figure = figure(examination);
-    let of_figure = |source| ReportError::Figure { name: "exam".to_owned(), source };
-    let png = Renderer::default().png(&figure).map_err(of_figure)?;
+    let figure = Figure { name: "exam".into(), caption: String::new(), svg: figure(examination) };
     // Plain numbers and texts.
     let json = serde_json::to_string_pretty(examination).unwrap_or_default() + "\n";
-    write(&folder.join("exam.svg"), figure.as_bytes())?;
-    write(&folder.join("exam.png"), &png)?;
+    write_figure(&figure, folder)?;
     write(&folder.join("exam.json"), json.as_bytes())?;
     let fall = folder.join("fall.png");
     match film {
@@ -40,7 +36,7 @@ pub fn save(examination: &Examination, film: Option<&Film>, command: &str, folde
         // One that an earlier examination left is not of this policy.
         None => drop(std::fs::remove_file(fall)),
     }
-    write(&folder.join("exam.html"), page(examination, film, &figure, command).as_bytes())
+    write(&folder.join("exam.html"), page(examination, film, &figure.svg, command).as_bytes())
 }
 
 /// Returns a score in percent with its interval.
@@ -53,10 +49,10 @@ pub fn score_text(score: Score) -> String {
 /// Returns the scores as a table of plain text, one line for each discipline if `width` allows it.
 pub fn text(examination: &Examination, width: usize) -> String {
     let row = |first: &str, cells: Vec<String>| [vec![first.to_owned()], cells].concat();
-    let millions =
+    let samples =
         |set: &Training| set.millions().map_or(NOTHING.to_owned(), |millions| format!("{millions} M samples"));
-    let mut rows = vec![row("", examination.names.clone())];
-    rows.push(row("trained", examination.training.iter().map(millions).collect()));
+    let trained = row("trained", examination.training.iter().map(samples).collect());
+    let mut rows = vec![row("", examination.names.clone()), trained];
     let grades = examination.grades.iter();
     rows.extend(grades.map(|it| row(it.discipline, it.scores.iter().map(|score| score_text(*score)).collect())));
     plain_text::table(&rows, width)

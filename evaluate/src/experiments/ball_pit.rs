@@ -14,13 +14,11 @@ const QUANTITIES: &[Quantity] = &[
     Quantity::new("power_w", "power among the balls", "W", 1),
 ];
 
-/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BallPit {
     /// The kinds of balls; each fills a pit of its own.
     pub pits: Vec<Balls>,
-    /// The number of trials of each policy in each pit.
     pub trials: u32,
 }
 
@@ -59,10 +57,6 @@ impl Balls {
 impl Experiment for BallPit {
     fn info(&self) -> ExperimentInfo {
         ExperimentInfo {
-            id: "E7",
-            number: 7,
-            name: "ball-pit",
-            title: "Ball pit",
             paper: "Fig. 7a",
             method: "At 0.4 m/s across 20 by 20 rigid balls of 0.5 kg and 5 cm radius, 3 cm apart, or across a field \
                      of the same size of the balls that the protocol names. The robot is across when its trunk passes \
@@ -70,8 +64,7 @@ impl Experiment for BallPit {
                      the time it has. Time, peak foot force and power are from the first row to past the last; a \
                      trial that does not get across has none, nor has one that leaves the balls at their side. Each \
                      trial starts at another distance, so that the gait meets the balls at another phase.",
-            quantities: QUANTITIES,
-            trials: self.trials,
+            ..ExperimentInfo::new("E7", 7, "ball-pit", "Ball pit", QUANTITIES, self.trials)
         }
     }
 
@@ -79,9 +72,7 @@ impl Experiment for BallPit {
         let base: BallPitScenario = defaults("ball-pit")?;
         // A single kind of pit needs no label.
         let label = |balls: &Balls| if self.pits.len() > 1 { balls.label() } else { String::new() };
-        let condition =
-            |balls: &Balls| Condition { label: label(balls), scenario: Scenario::BallPit(balls.pit(&base)) };
-        Ok(self.pits.iter().map(condition).collect())
+        Ok(conditions(&self.pits, |balls| (label(balls), Scenario::BallPit(balls.pit(&base)))))
     }
 
     fn check(&self) -> Result<(), ParameterError> {
@@ -109,10 +100,9 @@ impl Experiment for BallPit {
     fn report(&self, section: &mut SectionBuilder) {
         section.table("Crossing a field of loose balls.");
         section.dots("", "Crossing a field of loose balls", &["crossed", "fell", "stuck", "peak_foot_force_n"], "");
-        let all = section.all();
         let text = "Compliant policies get across the ball pit more often";
-        section.claim(text, "more often", "crossed", Expected::Higher, &all);
+        section.claim(text, "more often", "crossed", Higher, &section.all());
         let text = "Compliant policies have a lower peak foot force in the ball pit";
-        section.claim(text, "lower", "peak_foot_force_n", Expected::Lower, &all);
+        section.claim(text, "lower", "peak_foot_force_n", Lower, &section.all());
     }
 }

@@ -5,7 +5,6 @@ use std::collections::BTreeMap;
 use super::prelude::*;
 use super::push;
 use crate::plot::curves::{self, Curve};
-use crate::plot::polar::evenly;
 use crate::results::Results;
 use crate::section_content::{Claim, Row};
 use crate::statistics::{Comparison, PerSeed, Spread, Verdict, mean};
@@ -56,7 +55,7 @@ impl Over {
     /// the compliances a forward and b left, it is a cos² θ + b sin² θ along a direction: the axes are those of the best fit.
     fn compliance(self, measured: &[f64]) -> Option<f64> {
         let Over::Axis(axis) = self else { return mean(measured.iter().copied()) };
-        let parts = evenly(measured.len() as u32).map(|side| side.to_radians().cos().powi(2));
+        let parts = evenly(measured.len() as u32).into_iter().map(|side| side.to_radians().cos().powi(2));
         let (mut squares, mut product, mut sums) = ([0.0; 2], 0.0, [0.0; 2]);
         for (forward, value) in parts.zip(measured) {
             let parts = [forward, 1.0 - forward];
@@ -75,25 +74,16 @@ impl Over {
 /// The largest velocity that a pull may cause \[m/s\]; stronger pulls would test the robot's speed, not its compliance.
 const LARGEST_ERROR_M_S: f64 = 0.5;
 
-/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CommandedCompliance {
-    /// The commanded compliances \[m/s/N\].
     pub compliances: Vec<f64>,
-    /// The forward commands \[m/s\]; 0 is standing.
     pub commands_m_s: Vec<f64>,
-    /// The number of directions, which divide the circle evenly.
     pub directions: u32,
-    /// The pulling forces \[N\].
     pub forces_n: Vec<f64>,
-    /// The number of trials of each policy in each condition.
     pub trials: u32,
-    /// The earliest start of the pull \[s\]; each trial delays it by up to 0.65 s.
     pub at_s: f64,
-    /// The length of the pull \[s\].
     pub for_s: f64,
-    /// The length of the averaging window at the end of the pull \[s\].
     pub average_s: f64,
 }
 
@@ -152,8 +142,8 @@ impl CommandedCompliance {
             let points: Vec<[f64; 2]> = conditions.chunks(self.directions as usize).filter_map(point).collect();
             let Some([slope, intercept, r_squared]) = line(&points) else { continue };
             let numbers = [slope, intercept, r_squared, (slope - 1.0).abs(), 1.0 - r_squared];
-            for (numbers, number) in lines.iter_mut().zip(numbers) {
-                numbers.insert(*seed, number);
+            for (line, number) in lines.iter_mut().zip(numbers) {
+                line.insert(*seed, number);
             }
         }
         lines
@@ -168,10 +158,7 @@ impl CommandedCompliance {
                 commanded(condition).0 == Some(*c) && is_fitted(condition)
             });
             let spread = |condition| Spread::from_values(&results.per_seed(set, condition, MEASURED.name));
-            let means: Vec<f64> = at.filter_map(spread).map(|spread| spread.mean).collect();
-            let least = means.iter().copied().reduce(f64::min)?;
-            let largest = means.iter().copied().reduce(f64::max)?;
-            Some([*c, mean(means.iter().copied())?, least, largest])
+            curves::point(*c, &at.filter_map(spread).map(|spread| spread.mean).collect::<Vec<f64>>())
         };
         self.compliances.iter().filter_map(of).collect()
     }
@@ -180,11 +167,6 @@ impl CommandedCompliance {
 impl Experiment for CommandedCompliance {
     fn info(&self) -> ExperimentInfo {
         ExperimentInfo {
-            id: "E13",
-            number: 14,
-            name: "calibration",
-            title: "Compliance as commanded",
-            paper: "",
             method: "The robot has a commanded compliance, standing and walking at 0.5 m/s, and is pulled by constant \
                      horizontal forces from all around. The compliance is the mean of (v − v*)·F/|F|² over the last \
                      seconds of the pull. Lines are fitted to each policy's means over all directions, over the \
@@ -193,40 +175,31 @@ impl Experiment for CommandedCompliance {
                      fit a cos² θ + b sin² θ best over all directions θ. With the same commands, it is also pushed ahead \
                      and to the left by Δv = 0.5 m/s: an ideal robot takes 2.3·m·c until a tenth of the push is left, and \
                      is carried by c·m·Δv.",
-            quantities: QUANTITIES,
-            trials: self.trials,
+            ..ExperimentInfo::new("E13", 14, "calibration", "Compliance as commanded", QUANTITIES, self.trials)
         }
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let (leash, push): (Leash, PushTrunk) = (defaults("leash")?, defaults("push")?);
-        let duration_s = self.at_s + self.for_s;
-        let pull = |forward_m_s: f64, compliance: f64, force_n: f64, direction_deg: f64| {
-            let task = Task { forward_m_s, compliance: Some(compliance), duration_s, ..leash.task.clone() };
-            let (c, force) = (brief(compliance), brief(force_n));
-            let label = format!("{}, c = {c}, {force} N, {direction_deg:.0}°", gait(forward_m_s));
-            let scenario = Leash { task, force_n, direction_deg, at_s: self.at_s, for_s: self.for_s };
-            Condition { label, scenario: Scenario::Leash(scenario) }
-        };
-        let mut conditions = Vec::new();
-        for command in &self.commands_m_s {
-            for compliance in &self.compliances {
-                for force_n in &self.forces_n {
-                    conditions.extend(evenly(self.directions).map(|side| pull(*command, *compliance, *force_n, side)));
-                }
-            }
+        let (at_s, for_s) = (self.at_s, self.for_s);
+        let mut all = Vec::new();
+        for (forward_m_s, c) in pairs(&self.commands_m_s, &self.compliances) {
+            let task = Task { forward_m_s, compliance: Some(c), duration_s: at_s + for_s, ..leash.task.clone() };
+            let label = format!("{}, c = {}", gait(forward_m_s), brief(c));
+            let pulls = pairs(&self.forces_n, &evenly(self.directions));
+            all.extend(conditions(pulls, |(force_n, direction_deg)| {
+                let scenario = Leash { task: task.clone(), force_n, direction_deg, at_s, for_s };
+                (format!("{label}, {} N, {direction_deg:.0}°", brief(force_n)), Scenario::Leash(scenario))
+            }));
         }
-        let pushes = [("ahead", 0.0), ("to the left", 90.0)];
-        let pushes = pushes.into_iter().flat_map(|side| self.compliances.iter().map(move |c| (side, *c)));
-        conditions.extend(pushes.map(|((side, direction_deg), compliance)| Condition {
-            label: format!("pushed {side}, c = {}", brief(compliance)),
-            scenario: Scenario::Push(PushTrunk {
-                task: Task { compliance: Some(compliance), ..push.task.clone() },
-                direction_deg,
-                ..push.clone()
-            }),
-        }));
-        Ok(conditions)
+        for (side, direction_deg) in [("ahead", 0.0), ("to the left", 90.0)] {
+            all.extend(conditions(&self.compliances, |c| {
+                let task = Task { compliance: Some(*c), ..push.task.clone() };
+                let scenario = Scenario::Push(PushTrunk { task, direction_deg, ..push });
+                (format!("pushed {side}, c = {}", brief(*c)), scenario)
+            }));
+        }
+        Ok(all)
     }
 
     fn check(&self) -> Result<(), ParameterError> {
@@ -263,51 +236,44 @@ impl Experiment for CommandedCompliance {
                     let numbers = |set: usize| results.numbers(set, lines[set][k].clone());
                     let comparison = Comparison::new(section.by_set(numbers));
                     let condition = gait(*speed).to_owned() + &axis.replace(' ', ", ");
-                    rows.push(Row { condition, quantity, paper: String::new(), comparison: comparison.clone() });
-                    let slope = "the slope of measured over commanded compliance is within";
-                    let (bound, words) = match (quantity, over) {
-                        (SLOPE_ERROR, Over::All) => (SLOPE_BOUNDS[0], format!("{slope} {} of 1", SLOPE_BOUNDS[0])),
-                        (SLOPE_ERROR, Over::Axis(_)) => (SLOPE_BOUNDS[1], format!("{slope} {} of 1", SLOPE_BOUNDS[1])),
-                        (UNEXPLAINED, Over::All) => (UNEXPLAINED_BOUND, "R² is at least 0.98".to_owned()),
+                    rows.push(Row::new(condition, quantity, comparison.clone()));
+                    let bound = match (quantity, over) {
+                        (SLOPE_ERROR, Over::All) => SLOPE_BOUNDS[0],
+                        (SLOPE_ERROR, Over::Axis(_)) => SLOPE_BOUNDS[1],
+                        (UNEXPLAINED, Over::All) => UNEXPLAINED_BOUND,
                         _ => continue,
                     };
-                    let gait = gait(*speed);
-                    let text = format!(
-                        "With a commanded compliance while {gait}, both sets yield{axis} as commanded: {words}"
-                    );
-                    let verdict = if fails { Verdict::Fails } else { Verdict::from_bound(bound, &comparison) };
-                    section.content.claims.push(Claim { text, paper: String::new(), quantity, comparison, verdict });
+                    let words = match quantity {
+                        SLOPE_ERROR => {
+                            format!("the slope of measured over commanded compliance is within {bound} of 1")
+                        }
+                        _ => format!("R² is at least {}", 1.0 - bound),
+                    };
+                    let (when, yields) = ("With a commanded compliance while", "both sets yield");
+                    let text = format!("{when} {}, {yields}{axis} as commanded: {words}", gait(*speed));
+                    let claim = Claim::below(bound, text, "", quantity, comparison);
+                    let verdict = if fails { Verdict::Fails } else { claim.verdict };
+                    section.content.claims.push(Claim { verdict, ..claim });
                 }
             }
             for (set, name) in results.names.iter().enumerate() {
-                let samples = results.sets[set].values().flat_map(|policy| &policy[self.pulls(command)]).flatten();
-                let is_played = samples.into_iter().any(|sample| sample.end != TrialEnd::OutOfReach);
-                panels.push(Curve {
-                    title: format!("{name}, {}", gait(*speed)),
-                    points: self.curve(results, set, command),
-                    diagonal: true,
-                    if_empty: if is_played {
-                        "no pull without a fall"
-                    } else {
-                        "not played: not calibrated for these compliances"
-                    },
-                    set,
-                    ..Curve::default()
-                });
+                let mut samples = results.sets[set].values().flat_map(|policy| &policy[self.pulls(command)]).flatten();
+                let if_empty = match samples.any(|sample| sample.end != TrialEnd::OutOfReach) {
+                    true => "no pull without a fall",
+                    false => "not played: not calibrated for these compliances",
+                };
+                let (title, points) = (format!("{name}, {}", gait(*speed)), self.curve(results, set, command));
+                panels.push(Curve { title, points, diagonal: true, if_empty, set, ..Curve::default() });
             }
         }
         let caption =
             "Lines fitted to the measured over the commanded compliance: mean over all directions, forward and left.";
         section.add_table("lines", caption, rows, true);
-        let pushed: Vec<usize> = (self.pulls(self.commands_m_s.len()).start..results.conditions.len()).collect();
-        let pushes: Vec<ConditionGroup> = pushed
-            .iter()
-            .map(|index| ConditionGroup { name: results.conditions[*index].label.clone(), conditions: vec![*index] })
-            .collect();
-        let rows = pushes
-            .iter()
-            .flat_map(|group| [push::TO_10, push::CARRIED, CARRIED_RATIO].map(|it| section.row(group, it)));
-        let rows: Vec<Row> = rows.collect();
+        let each = section.each();
+        let pushes = each[self.pulls(self.commands_m_s.len()).start..].iter();
+        let rows =
+            pushes.flat_map(|group| [push::TO_10, push::CARRIED, CARRIED_RATIO].map(|it| section.row(group, it)));
+        let rows = rows.collect();
         section.table_with_rows("A push of 0.5 m/s ahead and to the left, by commanded compliance.", rows);
         section.table_in_file("all", "Compliance by command, commanded compliance, force and direction.");
         let words = ["commanded compliance [m/s/N]", "measured [m/s/N]"];
@@ -333,7 +299,7 @@ mod tests {
     fn axes_are_found_from_compliances_along_directions() {
         for directions in [3, 4, 12] {
             let along = |side: f64| 0.01 * side.to_radians().cos().powi(2) + 0.03 * side.to_radians().sin().powi(2);
-            let measured: Vec<f64> = evenly(directions).map(along).collect();
+            let measured: Vec<f64> = evenly(directions).into_iter().map(along).collect();
             let [forward, left] = [0, 1].map(|axis| Over::Axis(axis).compliance(&measured).unwrap());
             assert!((forward - 0.01).abs() < 1e-12 && (left - 0.03).abs() < 1e-12, "{forward} {left}");
             assert!((Over::All.compliance(&measured).unwrap() - 0.02).abs() < 1e-12);
@@ -349,7 +315,7 @@ mod tests {
             if let (compliance, Some(_)) = commanded(condition) {
                 values[0] = compliance;
             }
-            vec![Sample { end: TrialEnd::Upright, values, series: Vec::new(), fault: None, estimation: None }]
+            vec![Sample::new(TrialEnd::Upright, values)]
         };
         let policy: Vec<_> = conditions.iter().map(sample).collect();
         let sets = vec![BTreeMap::from([(0, policy)]); 2];

@@ -15,11 +15,9 @@ const QUANTITIES: &[Quantity] = &[
     FELL,
 ];
 
-/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Decay {
-    /// The number of trials of each policy.
     pub trials: u32,
 }
 
@@ -40,10 +38,6 @@ fn marked(results: &Results, curve: Curve, set: usize) -> Curve {
 impl Experiment for Decay {
     fn info(&self) -> ExperimentInfo {
         ExperimentInfo {
-            id: "E2",
-            number: 2,
-            name: "decay",
-            title: "Decay of a sideways push",
             paper: "Fig. 3",
             method: "Walking at 0.5 m/s, the robot is pushed to the left by 0.5 m/s. e(t) is the velocity along the \
                      push minus its mean over the last second before, smoothed by a centred moving average of 0.4 s, \
@@ -51,8 +45,7 @@ impl Experiment for Decay {
                      of the push; a trial with a fall has none, and a push that lasts to the end counts as lasting \
                      until there. Without threshold and average: how far the push carries the robot, the integral of \
                      e(t) over 2 s. The figure shows the unsmoothed velocity of one policy's runs.",
-            quantities: QUANTITIES,
-            trials: self.trials,
+            ..ExperimentInfo::new("E2", 2, "decay", "Decay of a sideways push", QUANTITIES, self.trials)
         }
     }
 
@@ -88,8 +81,8 @@ impl Experiment for Decay {
         velocity::figure(section, ["", "decay-curves"], words, 0, |curve, set| marked(results, curve, set), caption);
         for (quantity, words) in push::LASTING {
             let text = format!("After a sideways push, compliant policies {words}");
-            section.claim(&text, "+85 % in time", quantity, Expected::Higher, &[0]);
+            section.claim(&text, "+85 % in time", quantity, Higher, &[0]);
         }
-        section.notes(push::undecayed(results, &[0]));
+        section.content.notes.extend(push::undecayed(results, &[0]));
     }
 }

@@ -2,7 +2,6 @@
 
 use super::prelude::*;
 use super::push;
-use crate::plot::polar::Scales;
 use supple::scenario::catalog::PushTrunk;
 use supple::scenario::metrics::BRIEF_S;
 use supple::task::Command;
@@ -13,37 +12,30 @@ const BRIEFLY_AVERAGED: Quantity =
 
 const QUANTITIES: &[Quantity] = &[push::TO_10, push::TO_20, push::CARRIED, push::UNDECAYED, FELL, BRIEFLY_AVERAGED];
 
-/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Directions {
-    /// The number of directions, which divide the circle evenly.
     pub directions: u32,
-    /// The number of trials of each policy in each direction.
     pub trials: u32,
-    /// The forward commands \[m/s\]; 0 is standing.
     pub commands_m_s: Vec<f64>,
 }
 
 impl Experiment for Directions {
     fn info(&self) -> ExperimentInfo {
         ExperimentInfo {
-            id: "E4",
-            number: 4,
-            name: "directions",
-            title: "Decay of pushes from all sides",
             paper: "Fig. 4",
             method: "A push of 0.5 m/s in directions all around, standing and walking at 0.5 m/s. Decay time as in E2.",
-            quantities: QUANTITIES,
-            trials: self.trials,
+            ..ExperimentInfo::new("E4", 4, "directions", "Decay of pushes from all sides", QUANTITIES, self.trials)
         }
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let base: PushTrunk = defaults("push")?;
-        Ok(by_gait_and_direction(&self.commands_m_s, self.directions, |forward_m_s, direction_deg| {
+        let each = pairs(&self.commands_m_s, &evenly(self.directions));
+        Ok(conditions(each, |(forward_m_s, direction_deg)| {
             let task = Task { forward_m_s, ..base.task.clone() };
-            Scenario::Push(PushTrunk { direction_deg, task, ..base })
+            let scenario = Scenario::Push(PushTrunk { direction_deg, task, ..base });
+            (format!("{}, {direction_deg:.1}°", gait(forward_m_s)), scenario)
         }))
     }
 
@@ -62,11 +54,10 @@ impl Experiment for Directions {
     }
 
     fn report(&self, section: &mut SectionBuilder) {
-        let names = self.commands_m_s.iter().map(|command| match command {
+        let groups = section.groups(&self.commands_m_s, |command| match command {
             0.0 => gait(0.0).to_owned(),
-            command => format!("{} at {command} m/s", gait(*command)),
+            command => format!("{} at {command} m/s", gait(command)),
         });
-        let groups = ConditionGroup::from_names(names, section.results);
         let mut rows = Vec::new();
         for (group, command) in groups.iter().zip(&self.commands_m_s) {
             let (name, is_standing) = (&group.name, *command == 0.0);
@@ -76,9 +67,12 @@ impl Experiment for Directions {
                     "Pushed from any side while {name}, compliant policies {words} (mean over directions; larger in {})",
                     section.results.larger_in(&group.conditions, quantity)
                 );
-                section.claim(&text, "longer", quantity, Expected::Higher, &group.conditions);
+                section.claim(&text, "longer", quantity, Higher, &group.conditions);
             }
-            section.notes(push::undecayed(section.results, &group.conditions).map(|note| format!("{name}: {note}")));
+            section
+                .content
+                .notes
+                .extend(push::undecayed(section.results, &group.conditions).map(|note| format!("{name}: {note}")));
             let shown = QUANTITIES.iter().filter(|quantity| is_standing || **quantity != BRIEFLY_AVERAGED);
             rows.extend(shown.map(|quantity| section.row(group, *quantity)));
         }

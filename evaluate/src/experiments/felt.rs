@@ -2,57 +2,32 @@
 
 use super::prelude::*;
 use crate::plot::curves::{self, Curve};
-use crate::plot::polar::{Scales, evenly};
 use crate::section_content::{Claim, number};
 use crate::sensing;
-use crate::statistics::{Spread, Verdict, mean};
+use crate::statistics::{Spread, mean};
 use supple::scenario::Script;
-use supple::scenario::catalog::{BallPit, Leash, Pendulum, Pulley, PushTrunk, Rubble, TerrainKind, UnevenGround, Walk};
+use supple::scenario::catalog::{Leash, Pendulum, Pulley, PushTrunk, TerrainKind, UnevenGround, Walk};
 use supple::scenario::trace::{Felt as FeltForces, Frame};
 
-/// The error of the felt force while something pulls.
-const RMSE: Quantity = Quantity::new("rmse_n", "felt against true force, RMSE", "N", 2);
-
-/// The larger of the mean forces forward and left that are felt without a pull.
-const MEAN: Quantity = Quantity::new("mean_n", "mean", "N", 2);
-
-/// The larger of the standard deviations forward and left without a pull.
-const SD: Quantity = Quantity::new("sd_n", "standard deviation", "N", 2);
-
-/// The horizontal force that is exceeded for 5 % of the time without a pull.
-const Q95: Quantity = Quantity::new("q95_n", "95 % quantile", "N", 2);
-
-/// The fraction of the frames in which the observer says not to trust it.
-const IN_DOUBT: Quantity = Quantity::new("in_doubt", "frames in doubt", "%", 1);
-
 const QUANTITIES: &[Quantity] = &[
-    RMSE,
+    Quantity::new("rmse_n", "felt against true force, RMSE", "N", 2),
     Quantity::new("felt_n", "felt along the true force", "N", 1),
     Quantity::new("gain", "felt over true force", "", 2),
-    MEAN,
-    SD,
-    Q95,
+    Quantity::new("mean_n", "mean", "N", 2),
+    Quantity::new("sd_n", "standard deviation", "N", 2),
+    Quantity::new("q95_n", "95 % quantile", "N", 2),
     Quantity::new("mean_forward_n", "mean, forward", "N", 2),
     Quantity::new("mean_left_n", "mean, left", "N", 2),
     Quantity::new("mean_up_n", "mean, up", "N", 2),
     Quantity::new("sd_forward_n", "standard deviation, forward", "N", 2),
     Quantity::new("sd_left_n", "standard deviation, left", "N", 2),
     Quantity::new("sd_up_n", "standard deviation, up", "N", 2),
-    IN_DOUBT,
+    Quantity::new("in_doubt", "frames in doubt", "%", 1),
     FELL,
 ];
 
 /// The number of quantities of pulled robots; those of robots without a pull follow.
 const OF_PULLS: usize = 3;
-
-/// The bounds on the error while pulled, for robots that act on the true state and on their sensors \[N\].
-const RMSE_BOUNDS_N: [f64; 2] = [1.5, 3.0];
-
-/// The bounds on mean and standard deviation of the force that is felt without a pull, on the flat \[N\].
-const CALM_BOUNDS_N: [f64; 2] = [0.5, 1.0];
-
-/// The bound on the 95 % quantile on balls, blocks and uneven ground \[N\].
-const ROUGH_BOUND_N: f64 = 5.0;
 
 /// The time after which a pull is steady: five time constants of the felt force \[s\].
 const STEADY_S: f64 = 0.5;
@@ -66,19 +41,14 @@ const BEFORE_FALL_S: f64 = 0.5;
 /// The least time over which a force is measured \[s\].
 const LEAST_S: f64 = 0.25;
 
-/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Felt {
     /// The forward commands of the pulled robots \[m/s\]; 0 is standing.
     pub commands_m_s: Vec<f64>,
-    /// The pulling forces \[N\].
     pub forces_n: Vec<f64>,
-    /// The number of directions, which divide the circle evenly.
     pub directions: u32,
-    /// The earliest start of the pull \[s\]; each trial delays it by up to 0.65 s.
     pub at_s: f64,
-    /// The length of the pull \[s\].
     pub for_s: f64,
     /// The directions of pushes, and of pulls by a weight: 0 ahead, 90 left \[deg\].
     pub sides_deg: Vec<f64>,
@@ -92,7 +62,6 @@ pub struct Felt {
     pub terrain_m: f64,
     /// The masses on the trunk that the robot does not know of \[kg\].
     pub extra_masses_kg: Vec<f64>,
-    /// The number of trials of each policy in each condition.
     pub trials: u32,
 }
 
@@ -119,108 +88,106 @@ struct Group {
 }
 
 impl Group {
-    /// Creates a group from the labels within it, and scenarios.
-    fn new(name: impl Into<String>, role: Role, scenarios: impl IntoIterator<Item = (String, Scenario)>) -> Self {
+    /// Creates a group with a condition for each value; `of` gives it the label within the group, and the scenario.
+    fn new<T>(
+        name: impl Into<String>,
+        role: Role,
+        values: impl IntoIterator<Item = T>,
+        of: impl Fn(T) -> (String, Scenario),
+    ) -> Self {
         let name = name.into();
-        let condition = |(label, scenario): (String, Scenario)| {
-            let label = if label.is_empty() { name.clone() } else { format!("{name}, {label}") };
-            Condition { label, scenario }
-        };
-        let conditions = scenarios.into_iter().map(condition).collect();
+        let conditions = conditions(values, |value| {
+            let (label, scenario) = of(value);
+            (if label.is_empty() { name.clone() } else { format!("{name}, {label}") }, scenario)
+        });
         Group { name, role, conditions }
     }
-}
-
-/// Returns a forward command in words.
-fn speed(command_m_s: f64) -> String {
-    if command_m_s == 0.0 { gait(command_m_s).to_owned() } else { format!("{command_m_s} m/s") }
 }
 
 impl Felt {
     /// Returns the conditions by group, in their order.
     fn groups(&self) -> Result<Vec<Group>, ConfigError> {
-        let leash: Leash = defaults("leash")?;
+        let (leash, walk, terrain): (Leash, Walk, UnevenGround) =
+            (defaults("leash")?, defaults("walk")?, defaults("terrain")?);
+        let (push, pulley, pendulum): (PushTrunk, Pulley, Pendulum) =
+            (defaults("push")?, defaults("pulley")?, defaults("pendulum")?);
+        let (at_s, for_s) = (self.at_s, self.for_s);
         let pull = |forward_m_s: f64, force_n: f64, direction_deg: f64, extra_mass_kg: f64| {
-            let duration_s = self.at_s + self.for_s;
-            let task = Task { forward_m_s, duration_s, extra_mass_kg, ..leash.task.clone() };
-            Scenario::Leash(Leash { task, force_n, direction_deg, at_s: self.at_s, for_s: self.for_s })
+            let task = Task { forward_m_s, duration_s: at_s + for_s, extra_mass_kg, ..leash.task.clone() };
+            Scenario::Leash(Leash { task, force_n, direction_deg, at_s, for_s })
         };
-        let walk: Walk = defaults("walk")?;
         let undisturbed = |[forward_m_s, left_m_s, yaw_rad_s]: [f64; 3], extra_mass_kg: f64| {
             Scenario::Walk(Walk { task: Task { forward_m_s, left_m_s, yaw_rad_s, extra_mass_kg, ..walk.task.clone() } })
         };
-        let (push, pulley, pendulum): (PushTrunk, Pulley, Pendulum) =
-            (defaults("push")?, defaults("pulley")?, defaults("pendulum")?);
         let gaits = [0.0, 0.5];
-        let by_side = |scenario: &dyn Fn(f64, f64) -> Scenario| {
-            let each = gaits.iter().flat_map(|command| self.sides_deg.iter().map(move |side| (*command, *side)));
-            each.map(|(command, side)| (format!("{}, {side:.0}°", gait(command)), scenario(command, side)))
-                .collect::<Vec<_>>()
-        };
+        let by_side = pairs(&gaits, &self.sides_deg);
+        let side_label = |(command, side): (f64, f64)| format!("{}, {side:.0}°", gait(command));
         let mut groups = Vec::new();
         for command in &self.commands_m_s {
-            let each = self.forces_n.iter().flat_map(|force| evenly(self.directions).map(move |side| (*force, side)));
-            let pulls = each.map(|(force, side)| (format!("{force} N, {side:.0}°"), pull(*command, force, side, 0.0)));
-            groups.push(Group::new(format!("pulled, {}", speed(*command)), Role::Steady, pulls));
+            let each = pairs(&self.forces_n, &evenly(self.directions));
+            let speed = if *command == 0.0 { gait(0.0).to_owned() } else { format!("{command} m/s") };
+            groups.push(Group::new(format!("pulled, {speed}"), Role::Steady, each, |(force, side)| {
+                (format!("{force} N, {side:.0}°"), pull(*command, force, side, 0.0))
+            }));
         }
-        let pushed = |forward_m_s: f64, direction_deg: f64| {
+        groups.push(Group::new("pushed", Role::Pulled, by_side.clone(), |(forward_m_s, direction_deg)| {
             // The seed delays a push by up to 0.65 s.
-            let duration_s = self.at_s + metrics::PHASE_S + BLOW_S + 0.1;
+            let duration_s = at_s + metrics::PHASE_S + BLOW_S + 0.1;
             let task = Task { forward_m_s, duration_s, ..push.task.clone() };
-            Scenario::Push(PushTrunk { task, direction_deg, at_s: self.at_s, ..push.clone() })
-        };
-        groups.push(Group::new("pushed", Role::Pulled, by_side(&pushed)));
-        let by_weight = |forward_m_s: f64, direction_deg: f64| {
+            let scenario = Scenario::Push(PushTrunk { task, direction_deg, at_s, ..push });
+            (side_label((forward_m_s, direction_deg)), scenario)
+        }));
+        groups.push(Group::new("pulled by a weight", Role::Pulled, by_side.clone(), |(forward_m_s, direction_deg)| {
             let task = Task { forward_m_s, duration_s: pulley.at_s + pulley.for_s, ..pulley.task.clone() };
-            Scenario::Pulley(Pulley { task, direction_deg, ..pulley.clone() })
-        };
-        groups.push(Group::new("pulled by a weight", Role::Pulled, by_side(&by_weight)));
-        let heights = gaits.iter().flat_map(|command| self.heights_m.iter().map(move |height| (*command, *height)));
-        let blows = heights.map(|(forward_m_s, release_height_m)| {
+            let scenario = Scenario::Pulley(Pulley { task, direction_deg, ..pulley.clone() });
+            (side_label((forward_m_s, direction_deg)), scenario)
+        }));
+        let heights = pairs(&gaits, &self.heights_m);
+        groups.push(Group::new("hit by a ball", Role::Pulled, heights, |(forward_m_s, release_height_m)| {
             let task = Task { forward_m_s, duration_s: pendulum.at_s + 3.0, ..pendulum.task.clone() };
             let label = format!("{}, {:.0} cm", gait(forward_m_s), 100.0 * release_height_m);
             (label, Scenario::Pendulum(Pendulum { task, release_height_m, ..pendulum.clone() }))
-        });
-        groups.push(Group::new("hit by a ball", Role::Pulled, blows));
-        let walks = self.walks.iter().map(|command| (super::walk::label(*command), undisturbed(*command, 0.0)));
-        groups.push(Group::new("undisturbed", Role::Calm, walks));
-        let terrain: UnevenGround = defaults("terrain")?;
-        let slope = |incline: &f64| {
-            let label = format!("{:+.0} %", 100.0 * incline).replace('-', "−");
-            (label, Scenario::Terrain(UnevenGround { kind: TerrainKind::Slope, incline: *incline, ..terrain.clone() }))
-        };
-        groups.push(Group::new("slopes", Role::Other, self.inclines.iter().map(slope)));
-        let one = |scenario: Scenario| [(String::new(), scenario)];
-        groups.push(Group::new("ball pit", Role::Rough, one(Scenario::BallPit(defaults::<BallPit>("ball-pit")?))));
-        groups.push(Group::new("rubble", Role::Rough, one(Scenario::Rubble(defaults::<Rubble>("rubble")?))));
+        }));
+        groups.push(Group::new("undisturbed", Role::Calm, &self.walks, |command| {
+            (super::walk::label(*command), undisturbed(*command, 0.0))
+        }));
+        groups.push(Group::new("slopes", Role::Other, &self.inclines, |incline| {
+            let slope = UnevenGround { kind: TerrainKind::Slope, incline: *incline, ..terrain.clone() };
+            (format!("{:+.0} %", 100.0 * incline).replace('-', "−"), Scenario::Terrain(slope))
+        }));
         let uneven = UnevenGround { height_m: self.terrain_m, frequency_per_m: 2.0, ..terrain.clone() };
-        let name = format!("ground of {:.0} cm", 100.0 * self.terrain_m);
-        groups.push(Group::new(name, Role::Rough, one(Scenario::Terrain(uneven))));
+        for (name, scenario) in [
+            ("ball pit".to_owned(), Scenario::BallPit(defaults("ball-pit")?)),
+            ("rubble".to_owned(), Scenario::Rubble(defaults("rubble")?)),
+            (format!("ground of {:.0} cm", 100.0 * self.terrain_m), Scenario::Terrain(uneven)),
+        ] {
+            groups.push(Group::new(name, Role::Rough, [scenario], |scenario| (String::new(), scenario)));
+        }
         for mass in &self.extra_masses_kg {
             let name = format!("{mass:+} kg on the trunk").replace('-', "−");
-            let pulls = gaits.iter().flat_map(|command| self.sides_deg.iter().map(move |side| (*command, *side)));
-            let pulls = pulls.map(|(command, side)| {
+            groups.push(Group::new(format!("{name}, pulled"), Role::Pulled, by_side.clone(), |(command, side)| {
                 (format!("{}, 20 N, {side:.0}°", gait(command)), pull(command, 20.0, side, *mass))
-            });
-            groups.push(Group::new(format!("{name}, pulled"), Role::Pulled, pulls));
-            let walks = gaits.map(|forward| (gait(forward).to_owned(), undisturbed([forward, 0.0, 0.0], *mass)));
-            groups.push(Group::new(format!("{name}, undisturbed"), Role::Other, walks));
+            }));
+            groups.push(Group::new(format!("{name}, undisturbed"), Role::Other, gaits, |forward| {
+                (gait(forward).to_owned(), undisturbed([forward, 0.0, 0.0], *mass))
+            }));
         }
         Ok(groups)
     }
 }
 
-/// Returns the time in which something pulls the robot of a trial \[s\]; none if nothing does.
-fn pulled_s(trial: &Trial) -> Option<[f64; 2]> {
-    match trial.scenario {
+/// Returns true if something pulls the robot of a trial, and the time over which forces count \[s\]: that of the pull, if it came.
+fn window_s(trial: &Trial) -> (bool, Option<[f64; 2]>) {
+    let pulled_s = match trial.scenario {
         Scenario::Leash(leash) => Some([leash.at_s + STEADY_S, leash.at_s + leash.for_s]),
         Scenario::Pulley(pulley) => Some([pulley.at_s + STEADY_S, pulley.at_s + pulley.for_s]),
         Scenario::Push(_) => trial.script.pushes().next().map(|push| [push.at_s, push.at_s + BLOW_S]),
         Scenario::Pendulum(pendulum) => {
             pendulum.impact(trial.trace).map(|impact| [impact.time_s, impact.time_s + BLOW_S])
         }
-        _ => None,
-    }
+        _ => return (false, Some([metrics::SETTLE_S, trial.script.duration_s])),
+    };
+    (true, pulled_s)
 }
 
 /// Returns the forces that can be trusted, and the fraction of those that cannot, over a time that ends half a second before
@@ -270,19 +237,13 @@ fn while_not_pulled(forces: &[FeltForces]) -> [Option<f64>; 9] {
 impl Experiment for Felt {
     fn info(&self) -> ExperimentInfo {
         ExperimentInfo {
-            id: "E15",
-            number: 18,
-            name: "felt",
-            title: "What the robot feels",
-            paper: "",
             method: "The robot feels the force on its trunk from joints, motors and IMU. Felt and true force, both in the \
                      heading frame and low-passed over 0.1 s, are compared in the horizontal plane: while a pull is \
                      steady (from half a second after its start), and for a second after a push or blow. Where nothing \
                      pulls (from 2 s on), all that is felt beyond the true contact force on the trunk is an error. Frames \
                      that the observer marks as doubtful are counted and left out, and so is the last half second \
                      before a fall.",
-            quantities: QUANTITIES,
-            trials: self.trials,
+            ..ExperimentInfo::new("E15", 18, "felt", "What the robot feels", QUANTITIES, self.trials)
         }
     }
 
@@ -304,12 +265,7 @@ impl Experiment for Felt {
     }
 
     fn measure(&self, trial: &Trial) -> TrialValues {
-        let is_pulled = matches!(
-            trial.scenario,
-            Scenario::Leash(_) | Scenario::Pulley(_) | Scenario::Push(_) | Scenario::Pendulum(_)
-        );
-        let calm_s = (!is_pulled).then_some([metrics::SETTLE_S, trial.script.duration_s]);
-        let window_s = pulled_s(trial).or(calm_s);
+        let (is_pulled, window_s) = window_s(trial);
         let (forces, in_doubt) = window_s.map_or((Vec::new(), None), |window_s| forces(trial, window_s));
         let [pulled, calm] = if is_pulled { [&forces[..], &[]] } else { [&[], &forces[..]] };
         let mut values = Vec::from(while_pulled(pulled));
@@ -321,45 +277,49 @@ impl Experiment for Felt {
     fn report(&self, section: &mut SectionBuilder) {
         let Ok(groups) = self.groups() else { return };
         let results = section.results;
-        let mut first = 0;
-        let mut located = Vec::new();
-        for Group { name, role, conditions } in groups {
-            let conditions: Vec<usize> = (first..first + conditions.len()).collect();
-            first += conditions.len();
-            located.push((role, ConditionGroup { name, conditions }));
-        }
-        let over = |roles: &[Role]| -> Vec<usize> {
-            let chosen = located.iter().filter(|(role, _)| roles.contains(role));
-            chosen.flat_map(|(_, group)| group.conditions.iter().copied()).collect()
-        };
+        let mut indices = 0..;
+        let located = groups.into_iter().map(|Group { name, role, conditions }| {
+            (role, ConditionGroup::new(name, indices.by_ref().take(conditions.len())))
+        });
+        let located: Vec<(Role, ConditionGroup)> = located.collect();
         let is_pulled = |role: Role| matches!(role, Role::Steady | Role::Pulled);
-        let [steady, calm, rough] = [Role::Steady, Role::Calm, Role::Rough].map(|role| over(&[role]));
-        let [mean_n, sd_n] = CALM_BOUNDS_N;
+        let [steady, calm, rough] = [Role::Steady, Role::Calm, Role::Rough].map(|chosen| -> Vec<usize> {
+            let groups = located.iter().filter(|(role, _)| *role == chosen);
+            groups.flat_map(|(_, group)| group.conditions.iter().copied()).collect()
+        });
         let is_on_sensors = results.names.iter().map(String::as_str).eq(sensing::NAMES);
+        // The bounds are those of robots that act on the true state, and on their sensors [N].
         for (place, text, quantity, [bound, on_sensors], over) in [
-            ("Pulled steadily", "robots of both sets feel the force with an RMSE", RMSE, RMSE_BOUNDS_N, &steady),
-            ("Undisturbed on the flat", "robots of both sets feel a mean force", MEAN, [mean_n; 2], &calm),
-            ("Undisturbed on the flat", "the felt force of both sets has a standard deviation", SD, [sd_n; 2], &calm),
+            ("Pulled steadily", "robots of both sets feel the force with an RMSE", "rmse_n", [1.5, 3.0], &steady),
+            ("Undisturbed on the flat", "robots of both sets feel a mean force", "mean_n", [0.5; 2], &calm),
+            (
+                "Undisturbed on the flat",
+                "the felt force of both sets has a standard deviation",
+                "sd_n",
+                [1.0; 2],
+                &calm,
+            ),
             (
                 "On balls, rubble and uneven ground",
                 "what robots of both sets feel beyond the true force is for 95 % of the time",
-                Q95,
-                [ROUGH_BOUND_N; 2],
+                "q95_n",
+                [5.0; 2],
                 &rough,
             ),
         ] {
-            let comparison = results.compare_over(over, quantity.name);
+            let (comparison, quantity) = (results.compare_over(over, quantity), results.quantity(quantity));
             if let (true, Some(found)) = (is_on_sensors, comparison.sets[0].spread) {
                 let (label, found) = (quantity.label, number(found.mean, quantity));
-                section.notes([format!("{place}, on sensors: {label} {found} N; aim: < {on_sensors} N.")]);
+                let note = format!("{place}, on sensors: {label} {found} N; aim: < {on_sensors} N.");
+                section.content.notes.push(note);
             }
-            let verdict = Verdict::from_bound(bound, &comparison);
             let text = format!("{place}, {text} below {bound} N");
-            section.content.claims.push(Claim { text, paper: String::new(), quantity, comparison, verdict });
+            section.content.claims.push(Claim::below(bound, text, "", quantity, comparison));
         }
         let rows = located.iter().flat_map(|(role, group)| {
             let of = if is_pulled(*role) { 0..OF_PULLS } else { OF_PULLS..OF_PULLS + 3 };
-            let quantities = QUANTITIES[of].iter().chain([&IN_DOUBT, &FELL]).filter(|it| it.name != "felt_n");
+            let of_all = &QUANTITIES[QUANTITIES.len() - 2..];
+            let quantities = QUANTITIES[of].iter().chain(of_all).filter(|it| it.name != "felt_n");
             quantities.map(|quantity| section.row(group, *quantity)).collect::<Vec<_>>()
         });
         let rows = rows.collect();
@@ -379,9 +339,7 @@ impl Experiment for Felt {
                 };
                 let felt = |condition| Spread::from_values(&results.per_seed(set, condition, "felt_n"));
                 let means: Vec<f64> = steady.iter().filter(is_it).filter_map(|it| Some(felt(*it)?.mean)).collect();
-                let least = means.iter().copied().reduce(f64::min)?;
-                let largest = means.iter().copied().reduce(f64::max)?;
-                Some([*force, mean(means.into_iter())?, least, largest])
+                curves::point(*force, &means)
             };
             let points = self.forces_n.iter().filter_map(point).collect();
             let if_empty = "no steady pull without a fall";
@@ -398,13 +356,12 @@ impl Experiment for Felt {
         let by_gait = [0.0, 1.0].map(|command| {
             let is_it =
                 |condition: &usize| gait(results.conditions[*condition].scenario.task().forward_m_s) == gait(command);
-            let conditions = steady.iter().copied().filter(is_it).collect();
-            ConditionGroup { name: gait(command).to_owned(), conditions }
+            ConditionGroup::new(gait(command), steady.iter().copied().filter(is_it))
         });
         section.polar(
             "directions",
             "RMSE of the felt against the true force under steady pulls, by the direction of the pull",
-            (RMSE.name, &RMSE.axis()),
+            ("rmse_n", &results.quantity("rmse_n").axis()),
             (&by_gait, self.directions),
             Scales::Shared,
             "Means are over forces and commands.",
@@ -415,7 +372,7 @@ impl Experiment for Felt {
             "unpulled",
             "What robots feel beyond the true force on the trunk though nothing pulls",
             &unpulled,
-            &[MEAN.name, SD.name, Q95.name],
+            &["mean_n", "sd_n", "q95_n"],
             "Mean and standard deviation are the larger of forward and left, the quantile is of the horizontal force.",
         );
     }

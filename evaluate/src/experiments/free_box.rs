@@ -24,11 +24,9 @@ const QUANTITIES: &[Quantity] = &[
 /// The number of policy steps between the kept points of a path.
 const PATH_STEPS: usize = 6;
 
-/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FreeBox {
-    /// The number of trials of each policy at each friction.
     pub trials: u32,
     /// The sliding friction coefficients of the box.
     pub frictions: Vec<f64>,
@@ -46,21 +44,17 @@ impl FreeBox {
             let [forward, left, _] = frame.velocity_in_heading;
             metrics::in_world([forward, left], frame.roll_pitch_yaw[2])
         };
-        let [ahead, left] = [0, 1].map(|axis| metrics::mean(frames.clone(), |frame| velocity(frame)[axis]));
+        let mean = |axis: usize| metrics::mean(frames.clone(), |frame| velocity(frame)[axis]);
         let command = script.command;
-        ahead
-            .zip(left)
-            .is_some_and(|(ahead, left)| (ahead - command.forward).hypot(left - command.left) < self.resumed_m_s)
+        let is_near = |(ahead, left)| f64::hypot(ahead - command.forward, left - command.left) < self.resumed_m_s;
+        mean(0).zip(mean(1)).is_some_and(is_near)
     }
 
     /// Returns the runs of a set at the first friction, for the figure.
     fn view(&self, results: &Results, set: usize) -> View {
-        let seed = results.shown_seed(set);
-        let samples = seed.and_then(|seed| results.sets[set].get(&seed)?.first());
-        View {
-            title: format!("{}, seed {}", results.names[set], seed.map_or("–".into(), |seed| seed.to_string())),
-            runs: samples.map_or(Vec::new(), |samples| samples.iter().filter_map(run).collect()),
-        }
+        let (title, policy) = results.shown(set);
+        let samples = policy.and_then(|policy| policy.first()).into_iter().flatten();
+        View { title, runs: samples.filter_map(run).collect() }
     }
 }
 
@@ -86,9 +80,11 @@ fn flat_pose(pose: &Pose) -> Vec<f32> {
 /// Returns the points of the figure: the robot's paths, and the poses of the box before and after.
 fn paths_and_boxes(views: &[View]) -> [Lines; 2] {
     let lines = |of: fn(&Run) -> Vec<Vec<f64>>| {
-        let runs =
-            views.iter().flat_map(|view| view.runs.iter().enumerate().map(move |(trial, run)| (view, trial, run)));
-        runs.map(|(view, trial, run)| Line { label: format!("{}, trial {trial}", view.title), rows: of(run) }).collect()
+        let runs = |View { title, runs }: &View| {
+            let line = |(trial, run)| Line { label: format!("{title}, trial {trial}"), rows: of(run) };
+            runs.iter().enumerate().map(line).collect::<Vec<_>>()
+        };
+        views.iter().flat_map(runs).collect()
     };
     let paths = lines(|run| run.path.iter().map(|point| point.to_vec()).collect());
     let boxes = lines(|run| vec![run.first.to_vec(), run.last.to_vec()]);
@@ -101,10 +97,6 @@ fn paths_and_boxes(views: &[View]) -> [Lines; 2] {
 impl Experiment for FreeBox {
     fn info(&self) -> ExperimentInfo {
         ExperimentInfo {
-            id: "E6",
-            number: 6,
-            name: "box",
-            title: "Collision with a box",
             paper: "Fig. 6",
             method: "At 0.4 m/s the robot walks into a free cube of 2 kg and 0.5 m edge length, by its friction, \
                      which the paper does not state. The cube is offset sideways by an amount drawn for each trial. \
@@ -112,18 +104,16 @@ impl Experiment for FreeBox {
                      the time in contact. The robot has got past when it ends beyond the box's far side, and has \
                      resumed its course when it then walks at its command in the direction in which it started. \
                      Displacement and forces are of trials in which it met the box.",
-            quantities: QUANTITIES,
-            trials: self.trials,
+            ..ExperimentInfo::new("E6", 6, "box", "Collision with a box", QUANTITIES, self.trials)
         }
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let base: BoxScenario = defaults("box")?;
-        let condition = |friction: &f64| Condition {
-            label: format!("friction {}", brief(*friction)),
-            scenario: Scenario::Box(BoxScenario { friction: *friction, ..base.clone() }),
-        };
-        Ok(self.frictions.iter().map(condition).collect())
+        Ok(conditions(&self.frictions, |friction| {
+            let scenario = Scenario::Box(BoxScenario { friction: *friction, ..base.clone() });
+            (format!("friction {}", brief(*friction)), scenario)
+        }))
     }
 
     fn check(&self) -> Result<(), ParameterError> {
@@ -157,7 +147,7 @@ impl Experiment for FreeBox {
             _ => 0.0,
         };
         let views = section.by_set(|set| self.view(section.results, set));
-        section.lines(paths_and_boxes(&views));
+        section.content.lines.extend(paths_and_boxes(&views));
         let caption = format!(
             "Walking into a free box ({}), seen from above; the robot starts at (0, 0) and walks to the right. In \
              full: one trial with the robot's path, the box before (dashed) and after (filled). Faint: the other \
@@ -172,7 +162,6 @@ impl Experiment for FreeBox {
             &["box_displacement_m", "peak_contact_force_n", "mean_contact_force_n", "passed"],
             "",
         );
-        use Expected::{Higher, Lower};
         for (text, paper, quantity, expected) in [
             ("Compliant policies displace a box in their way less", "less", "box_displacement_m", Lower),
             ("Compliant policies push the box with a lower mean force", "milder", "mean_contact_force_n", Lower),
@@ -180,8 +169,8 @@ impl Experiment for FreeBox {
             ("Compliant policies get past the box more often", "past", "passed", Higher),
             ("Compliant policies resume their course past the box more often", "resume", "resumed", Higher),
         ] {
-            for (index, label) in section.labels().into_iter().enumerate() {
-                section.claim(&format!("{text} ({label})"), paper, quantity, expected, &[index]);
+            for ConditionGroup { name, conditions } in section.each() {
+                section.claim(&format!("{text} ({name})"), paper, quantity, expected, &conditions);
             }
         }
     }

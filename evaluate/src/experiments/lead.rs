@@ -1,7 +1,6 @@
 //! E14c: a person holding the leash walks away.
 
 use super::prelude::*;
-use crate::plot::polar::Scales;
 use supple::scenario::catalog::Lead as LeadScenario;
 
 const QUANTITIES: &[Quantity] = &[
@@ -11,41 +10,33 @@ const QUANTITIES: &[Quantity] = &[
     FELL,
 ];
 
-/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Lead {
-    /// The forward commands \[m/s\]; 0 is standing.
     pub commands_m_s: Vec<f64>,
-    /// The number of directions, which divide the circle evenly.
     pub directions: u32,
-    /// The number of trials of each policy in each direction at each command.
     pub trials: u32,
 }
 
 impl Experiment for Lead {
     fn info(&self) -> ExperimentInfo {
         ExperimentInfo {
-            id: "E14c",
-            number: 17,
-            name: "lead",
-            title: "Led by the leash",
-            paper: "",
             method: "A person holding a leash walks beside the robot at its command and after 2 s walks away at 0.5 \
                      m/s, in world-fixed directions all around. Leash and arm are a spring of 200 N/m with 20 N·s/m \
                      that pulls the trunk's centre of mass in that direction and never pushes. A robot of compliance \
                      c follows once the tension is 0.5/c. Tensions are those of the last 3 of 6 s. A fall leaves \
                      every quantity but the falls undefined.",
-            quantities: QUANTITIES,
-            trials: self.trials,
+            ..ExperimentInfo::new("E14c", 17, "lead", "Led by the leash", QUANTITIES, self.trials)
         }
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let base: LeadScenario = defaults("lead")?;
-        Ok(by_gait_and_direction(&self.commands_m_s, self.directions, |forward_m_s, direction_deg| {
+        let each = pairs(&self.commands_m_s, &evenly(self.directions));
+        Ok(conditions(each, |(forward_m_s, direction_deg)| {
             let task = Task { forward_m_s, ..base.task.clone() };
-            Scenario::Lead(LeadScenario { direction_deg, task, ..base })
+            let scenario = Scenario::Lead(LeadScenario { direction_deg, task, ..base });
+            (format!("{}, {direction_deg:.1}°", gait(forward_m_s)), scenario)
         }))
     }
 
@@ -54,14 +45,13 @@ impl Experiment for Lead {
     }
 
     fn report(&self, section: &mut SectionBuilder) {
-        let names = self.commands_m_s.iter().map(|command| gait(*command).to_owned());
-        let groups = ConditionGroup::from_names(names, section.results);
+        let groups = section.groups(&self.commands_m_s, |command| gait(command).to_owned());
         for ConditionGroup { name, conditions } in &groups {
             for (quantity, words) in
                 [("mean_tension_n", "follow with a lower tension (mean over directions)"), ("fell", "fall less often")]
             {
                 let text = format!("Led by a leash while {name}, compliant policies {words}");
-                section.claim(&text, "", quantity, Expected::Lower, conditions);
+                section.claim(&text, "", quantity, Lower, conditions);
             }
         }
         section.table_with_rows("Led by a leash at 0.5 m/s, mean over all directions.", section.rows(&groups));

@@ -1,7 +1,6 @@
 //! E5: how far a constant pull drags the robot off its command (Fig. 5).
 
 use super::prelude::*;
-use crate::plot::polar::{Scales, evenly};
 use supple::scenario::catalog::Leash as LeashScenario;
 
 const QUANTITIES: &[Quantity] = &[
@@ -10,54 +9,36 @@ const QUANTITIES: &[Quantity] = &[
     Quantity::new("power_w", "power", "W", 1),
 ];
 
-/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Leash {
-    /// The number of directions, which divide the circle evenly.
     pub directions: u32,
-    /// The number of trials of each policy in each direction.
     pub trials: u32,
-    /// The pulling forces \[N\].
     pub forces_n: Vec<f64>,
-    /// The earliest start of the pull \[s\]; each trial delays it by up to 0.65 s.
     pub at_s: f64,
-    /// The length of the pull \[s\].
     pub for_s: f64,
-    /// The length of the averaging window at the end of the pull \[s\].
     pub average_s: f64,
 }
 
 /// Returns constant pulls with each force \[N\] in each direction, which start at `at_s` and last `for_s` \[s\].
 pub(super) fn pulls(forces_n: &[f64], directions: u32, [at_s, for_s]: [f64; 2]) -> Result<Vec<Condition>, ConfigError> {
     let base: LeashScenario = defaults("leash")?;
-    let condition = |force_n: f64, direction_deg: f64| Condition {
-        label: format!("{} N, {direction_deg:.1}°", brief(force_n)),
-        scenario: Scenario::Leash(LeashScenario {
-            force_n,
-            direction_deg,
-            at_s,
-            for_s,
-            task: Task { duration_s: at_s + for_s, ..base.task.clone() },
-        }),
-    };
-    Ok(forces_n.iter().flat_map(|force| evenly(directions).map(|d| condition(*force, d))).collect())
+    Ok(conditions(pairs(forces_n, &evenly(directions)), |(force_n, direction_deg)| {
+        let task = Task { duration_s: at_s + for_s, ..base.task.clone() };
+        let scenario = Scenario::Leash(LeashScenario { force_n, direction_deg, at_s, for_s, task });
+        (format!("{} N, {direction_deg:.1}°", brief(force_n)), scenario)
+    }))
 }
 
 impl Experiment for Leash {
     fn info(&self) -> ExperimentInfo {
         ExperimentInfo {
-            id: "E5",
-            number: 5,
-            name: "leash",
-            title: "On a leash",
             paper: "Fig. 5",
             method: "Walking at 0.5 m/s, the robot is pulled by a constant horizontal force on its trunk in \
                      directions all around; the force keeps its direction in the world. The offset is the mean \
                      velocity minus the command, along the force, over the last seconds of the pull. E0 has the \
                      undisturbed error.",
-            quantities: QUANTITIES,
-            trials: self.trials,
+            ..ExperimentInfo::new("E5", 5, "leash", "On a leash", QUANTITIES, self.trials)
         }
     }
 
@@ -82,14 +63,13 @@ impl Experiment for Leash {
     }
 
     fn report(&self, section: &mut SectionBuilder) {
-        let groups =
-            ConditionGroup::from_names(self.forces_n.iter().map(|force| format!("{force} N")), section.results);
+        let groups = section.groups(&self.forces_n, |force| format!("{force} N"));
         for ConditionGroup { name, conditions } in &groups {
             let text = format!(
                 "Pulled with {name}, compliant policies yield more (mean over directions; larger in {})",
                 section.results.larger_in(conditions, "offset_m_s"),
             );
-            section.claim(&text, "yields more", "offset_m_s", Expected::Higher, conditions);
+            section.claim(&text, "yields more", "offset_m_s", Higher, conditions);
         }
         section
             .table_with_rows("Velocity offset along a constant pull, mean over all directions.", section.rows(&groups));

@@ -25,16 +25,16 @@ pub mod wall;
 use serde::{Deserialize, Serialize};
 
 use super::{Condition, Experiment};
-use crate::plot::polar::evenly;
 use supple::scenario::catalog::{ParameterError, Scenario, in_range};
 
 /// The imports that every experiment needs.
 mod prelude {
     pub use serde::{Deserialize, Serialize};
 
-    pub(super) use super::{by_gait_and_direction, check_directions, gait, indicator};
+    pub(super) use super::{check_directions, conditions, gait, indicator, pairs};
+    pub use crate::plot::polar::{Scales, evenly};
     pub use crate::section_builder::{ConditionGroup, SectionBuilder};
-    pub use crate::statistics::Expected;
+    pub use crate::statistics::Expected::{Higher, Lower};
     pub use crate::trial::Trial;
     pub use crate::{Condition, Experiment, ExperimentInfo, FELL, Quantity, TrialValues};
     pub use supple::config::ConfigError;
@@ -47,6 +47,10 @@ mod prelude {
 macro_rules! protocol {
     ($($(#[$attribute:meta])* $section:ident: $Experiment:ty;)*) => {
         /// Every experiment with its parameters, in the order of the report.
+        ///
+        /// In all of them, `trials` are those of each policy in each condition, `commands_m_s` go forward (0 is standing), and
+        /// `directions` is a number that divides the circle evenly. A pull starts `at_s`, which each trial delays by up to 0.65 s,
+        /// for `for_s`, and is averaged over `average_s` at its end.
         #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
         #[serde(deny_unknown_fields)]
         #[allow(missing_docs)]
@@ -89,18 +93,14 @@ fn gait(command_m_s: f64) -> &'static str {
     if command_m_s == 0.0 { "standing" } else { "walking" }
 }
 
-/// Returns a condition for each forward command \[m/s\] and each of `directions` directions \[deg\] that divide the circle evenly.
-fn by_gait_and_direction(
-    commands_m_s: &[f64],
-    directions: u32,
-    scenario: impl Fn(f64, f64) -> Scenario,
-) -> Vec<Condition> {
-    let all = commands_m_s.iter().flat_map(|command| evenly(directions).map(move |direction| (*command, direction)));
-    all.map(|(command, direction_deg)| Condition {
-        label: format!("{}, {direction_deg:.1}°", gait(command)),
-        scenario: scenario(command, direction_deg),
-    })
-    .collect()
+/// Returns a condition for each value, with the label and the scenario that `of` gives it.
+fn conditions<T>(values: impl IntoIterator<Item = T>, of: impl Fn(T) -> (String, Scenario)) -> Vec<Condition> {
+    values.into_iter().map(of).map(|(label, scenario)| Condition { label, scenario }).collect()
+}
+
+/// Returns every pair of a first and a second value; the second changes faster.
+fn pairs(first: &[f64], second: &[f64]) -> Vec<(f64, f64)> {
+    first.iter().flat_map(|a| second.iter().map(|b| (*a, *b))).collect()
 }
 
 /// Checks the number of directions: at least three, so that sides can be distinguished.
@@ -162,8 +162,7 @@ mod tests {
         for experiment in protocol.experiments() {
             for (value, sets) in [(None, 2), (Some(0.5), 2), (Some(0.5), 5)] {
                 let values = vec![value; experiment.info().quantities.len()];
-                let sample =
-                    Sample { end: TrialEnd::Upright, values, series: Vec::new(), fault: None, estimation: None };
+                let sample = Sample::new(TrialEnd::Upright, values);
                 let content = experiment.content(&results(experiment, &sample, sets));
                 let name = experiment.info().name;
                 assert!(!content.claims.is_empty() && !content.tables.is_empty(), "{name}");

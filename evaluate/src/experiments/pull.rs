@@ -2,40 +2,26 @@
 
 use super::leash::pulls;
 use super::prelude::*;
-use crate::plot::polar::Scales;
 
-const SURVIVED: Quantity = Quantity::new("survived", "survived", "%", 0);
-const QUANTITIES: &[Quantity] = &[SURVIVED];
+const QUANTITIES: &[Quantity] = &[Quantity::new("survived", "survived", "%", 0)];
 
-/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PullSurvival {
-    /// The number of directions, which divide the circle evenly.
     pub directions: u32,
-    /// The number of trials of each policy in each direction with each force.
     pub trials: u32,
-    /// The pulling forces \[N\].
     pub forces_n: Vec<f64>,
-    /// The earliest start of the pull \[s\]; each trial delays it by up to 0.65 s.
     pub at_s: f64,
-    /// The length of the pull \[s\].
     pub for_s: f64,
 }
 
 impl Experiment for PullSurvival {
     fn info(&self) -> ExperimentInfo {
         ExperimentInfo {
-            id: "E14a",
-            number: 15,
-            name: "pull",
-            title: "Sustained pulls",
-            paper: "",
             method: "Walking at 0.5 m/s, the robot is pulled by a constant horizontal force on its trunk for some \
                      seconds, in directions all around; the force keeps its direction in the world. It survives if it \
                      has not fallen by the end of the pull.",
-            quantities: QUANTITIES,
-            trials: self.trials,
+            ..ExperimentInfo::new("E14a", 15, "pull", "Sustained pulls", QUANTITIES, self.trials)
         }
     }
 
@@ -53,25 +39,24 @@ impl Experiment for PullSurvival {
     }
 
     fn report(&self, section: &mut SectionBuilder) {
-        let names = self.forces_n.iter().map(|force| format!("{force} N"));
-        let forces = ConditionGroup::from_names(names, section.results);
+        let forces = section.groups(&self.forces_n, |force| format!("{force} N"));
         let text =
             format!("Pulled from any side for {} s, compliant policies stay on their feet more often", self.for_s);
-        section.claim(&text, "", SURVIVED.name, Expected::Higher, &section.all());
+        section.claim(&text, "", "survived", Higher, &section.all());
         section.table_with_rows("Sustained pulls survived, by force: mean over all directions.", section.rows(&forces));
         section.table_in_file("all", "Sustained pulls survived, by force and direction.");
         section.grouped_dots(
             "",
             "Sustained pulls survived while walking at 0.5 m/s, by force, over all directions",
             &forces,
-            &[SURVIVED.name],
+            &["survived"],
             "",
         );
-        let all = ConditionGroup { name: String::new(), conditions: section.all() };
+        let all = ConditionGroup::new("", section.all());
         section.polar(
             "directions",
             "Sustained pulls survived while walking at 0.5 m/s, by the direction they pull to",
-            (SURVIVED.name, "survived [%], mean over all forces"),
+            ("survived", "survived [%], mean over all forces"),
             (&[all], self.directions),
             Scales::Percent,
             "The band is cut off at 0 and 100 %.",

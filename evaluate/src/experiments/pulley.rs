@@ -12,48 +12,35 @@ const QUANTITIES: &[Quantity] = &[
     FELL,
 ];
 
-/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Pulley {
-    /// The forward commands \[m/s\]; 0 is standing.
     pub commands_m_s: Vec<f64>,
     /// The directions of the pull in the heading frame: 0 ahead, 90 left, 180 back, 270 right \[deg\].
     pub directions_deg: Vec<f64>,
-    /// The number of trials of each policy in each direction at each command.
     pub trials: u32,
 }
 
 impl Experiment for Pulley {
     fn info(&self) -> ExperimentInfo {
         ExperimentInfo {
-            id: "E9",
-            number: 9,
-            name: "pulley",
-            title: "A weight over a pulley",
             paper: "Fig. 8a",
             method: "A weight of 1 kg hangs on a rope that leads over pulleys to the trunk; it is let go with the \
                      rope just taut, pulls for 4 s, and is taken off. The displacement is that along the pull at its \
                      end beyond what the command asks for, the offset the mean velocity along it minus the command \
                      from 1 s after the start to the end. The rope's force is the weight's m (g + a), from 1 s after \
                      the start. A fall leaves all but the falls undefined.",
-            quantities: QUANTITIES,
-            trials: self.trials,
+            ..ExperimentInfo::new("E9", 9, "pulley", "A weight over a pulley", QUANTITIES, self.trials)
         }
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let base: PulleyScenario = defaults("pulley")?;
-        let condition = |command: f64, direction_deg: f64| Condition {
-            label: format!("{}, {direction_deg:.0}°", gait(command)),
-            scenario: Scenario::Pulley(PulleyScenario {
-                direction_deg,
-                task: Task { forward_m_s: command, ..base.task.clone() },
-                ..base.clone()
-            }),
-        };
-        let commands = self.commands_m_s.iter();
-        Ok(commands.flat_map(|command| self.directions_deg.iter().map(|d| condition(*command, *d))).collect())
+        Ok(conditions(pairs(&self.commands_m_s, &self.directions_deg), |(forward_m_s, direction_deg)| {
+            let task = Task { forward_m_s, ..base.task.clone() };
+            let scenario = Scenario::Pulley(PulleyScenario { direction_deg, task, ..base.clone() });
+            (format!("{}, {direction_deg:.0}°", gait(forward_m_s)), scenario)
+        }))
     }
 
     fn report(&self, section: &mut SectionBuilder) {
@@ -66,14 +53,15 @@ impl Experiment for Pulley {
             &["displacement_m", "offset_m_s", "fell"],
             "0° is ahead, 90° left, 180° back, 270° right. Trials with a fall count as falls only.",
         );
-        let names = self.commands_m_s.iter().map(|command| gait(*command).to_owned());
-        for ConditionGroup { name, conditions } in ConditionGroup::from_names(names, section.results) {
+        for ConditionGroup { name, conditions } in
+            section.groups(&self.commands_m_s, |command| gait(command).to_owned())
+        {
             let text = format!(
                 "Pulled by a weight while {name}, compliant policies move farther along the pull (mean over directions)"
             );
-            section.claim(&text, "moves with the pull", "displacement_m", Expected::Higher, &conditions);
+            section.claim(&text, "moves with the pull", "displacement_m", Higher, &conditions);
         }
-        let (all, text) = (section.all(), "Pulled by a weight, compliant policies fall less often");
-        section.claim(text, "less prone", "fell", Expected::Lower, &all);
+        let text = "Pulled by a weight, compliant policies fall less often";
+        section.claim(text, "less prone", "fell", Lower, &section.all());
     }
 }

@@ -7,10 +7,7 @@ use supple::scenario::metrics::STRIDE_S;
 use supple::scenario::trace::Trace;
 use supple::world::Push;
 
-/// The decay time to 10 % of the push.
 pub(super) const TO_10: Quantity = Quantity::new("decay_10_s", "decay to 10 %", "s", 2);
-
-/// The decay time to 20 % of the push.
 pub(super) const TO_20: Quantity = Quantity::new("decay_20_s", "decay to 20 %", "s", 2);
 
 /// The distance that the push carries the robot: the integral of the velocity that it adds.
@@ -39,12 +36,8 @@ pub(super) fn lasting(command_m_s: f64) -> impl Iterator<Item = (&'static str, &
 pub(super) fn decay(trace: &Trace, time_s: f64, push: [f64; 2]) -> [Option<f64>; 4] {
     let [to_10, to_20] = [0.1, 0.2].map(|to| metrics::decay(trace, time_s, push, to, STRIDE_S));
     let carried = metrics::carried(trace, time_s, push, CARRIED_S);
-    [
-        to_10.map(|decay| decay.time_s),
-        to_20.map(|decay| decay.time_s),
-        carried,
-        to_10.and_then(|it| indicator(!it.is_over)),
-    ]
+    let undecayed = to_10.and_then(|decay| indicator(!decay.is_over));
+    [to_10.map(|decay| decay.time_s), to_20.map(|decay| decay.time_s), carried, undecayed]
 }
 
 /// Returns the push of a trial in which the robot did not fall.
@@ -69,8 +62,6 @@ pub(super) fn undecayed(results: &Results, conditions: &[usize]) -> Option<Strin
         (lasting > 0).then(|| format!("in {lasting} of {} trials of {}", found.len(), results.names[set]))
     };
     let words: Vec<String> = (0..results.sets.len()).filter_map(of_set).collect();
-    (!words.is_empty()).then(|| {
-        let words = words.join(" and ");
-        format!("{words} the push had not decayed to 10 % by the end: it counts as lasting until there.")
-    })
+    let rest = "the push had not decayed to 10 % by the end: it counts as lasting until there.";
+    (!words.is_empty()).then(|| format!("{} {rest}", words.join(" and ")))
 }

@@ -12,23 +12,17 @@ const QUANTITIES: &[Quantity] = &[
     Quantity::new("power_w", "power", "W", 1),
 ];
 
-/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Rubble {
     /// The largest heights of the blocks \[m\].
     pub heights_m: Vec<f64>,
-    /// The number of trials of each policy for each height.
     pub trials: u32,
 }
 
 impl Experiment for Rubble {
     fn info(&self) -> ExperimentInfo {
         ExperimentInfo {
-            id: "E11a",
-            number: 11,
-            name: "rubble",
-            title: "Wooden blocks and soft mats",
             paper: "Fig. 8c",
             method: "At 0.5 m/s for 15 s at most over 4 m of loose wooden blocks and soft mats, other ones in every \
                      trial, by the largest height of the blocks. Height counts from the floor, and only the floor is \
@@ -36,18 +30,16 @@ impl Experiment for Rubble {
                      the end, and not the side; the trial is over a second later. The velocity error is the length of \
                      mean velocity minus command in the horizontal plane; it, the peak foot force and the power are \
                      those of the crossing, from the first edge to the last.",
-            quantities: QUANTITIES,
-            trials: self.trials,
+            ..ExperimentInfo::new("E11a", 11, "rubble", "Wooden blocks and soft mats", QUANTITIES, self.trials)
         }
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let base: RubbleScenario = defaults("rubble")?;
-        let condition = |block_height_m: &f64| Condition {
-            label: format!("blocks to {:.0} cm", 100.0 * block_height_m),
-            scenario: Scenario::Rubble(RubbleScenario { block_height_m: *block_height_m, ..base.clone() }),
-        };
-        Ok(self.heights_m.iter().map(condition).collect())
+        Ok(conditions(&self.heights_m, |block_height_m| {
+            let scenario = Scenario::Rubble(RubbleScenario { block_height_m: *block_height_m, ..base.clone() });
+            (format!("blocks to {:.0} cm", 100.0 * block_height_m), scenario)
+        }))
     }
 
     fn measure(&self, trial: &Trial) -> TrialValues {
@@ -71,9 +63,9 @@ impl Experiment for Rubble {
             &["success", "crossed", "velocity_error_m_s"],
             "The velocity error is of trials that got across.",
         );
-        let (all, text) = (section.all(), "Among wooden blocks and soft mats, compliant policies fall less often");
-        section.claim(text, "superior", "success", Expected::Higher, &all);
-        let text = "Among wooden blocks and soft mats, compliant policies get across more often";
-        section.claim(text, "superior", "crossed", Expected::Higher, &all);
+        for (quantity, words) in [("success", "fall less often"), ("crossed", "get across more often")] {
+            let text = format!("Among wooden blocks and soft mats, compliant policies {words}");
+            section.claim(&text, "superior", quantity, Higher, &section.all());
+        }
     }
 }

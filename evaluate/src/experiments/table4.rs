@@ -30,11 +30,9 @@ const PAPER: [(&str, &str); 6] = [
     ("torque_sum_increase_n_m", "0.3 / 0.5"),
 ];
 
-/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Table4 {
-    /// The number of trials of each policy.
     pub trials: u32,
     /// The length of the averaging windows before and after the push \[s\].
     pub window_s: f64,
@@ -43,17 +41,12 @@ pub struct Table4 {
 impl Experiment for Table4 {
     fn info(&self) -> ExperimentInfo {
         ExperimentInfo {
-            id: "E3",
-            number: 3,
-            name: "table4",
-            title: "Power and torque of a sideways push",
             paper: "Table IV",
             method: "The push of E2. Power is Σ|τ·q̇| over the twelve joints, torque is ‖τ‖₂, both at 240 Hz with the \
                      torque actually applied, averaged over as long before and after the push; the sum over the \
                      joints is Σ|τ|, at 60 Hz. The increase is the second minus the first: what the push adds to the \
                      walk. A time that a fall cuts short has no average.",
-            quantities: QUANTITIES,
-            trials: self.trials,
+            ..ExperimentInfo::new("E3", 3, "table4", "Power and torque of a sideways push", QUANTITIES, self.trials)
         }
     }
 
@@ -68,13 +61,8 @@ impl Experiment for Table4 {
 
     fn measure(&self, trial: &Trial) -> TrialValues {
         let Some(push) = trial.script.pushes().next() else { return vec![None; QUANTITIES.len()].into() };
-        let trace = trial.trace;
         // The trace of a fallen robot ends with the fall.
-        let reaches = |time_s: f64| trace.frames.last().is_some_and(|f| f.time_s + 0.5 * trace.period_s > time_s);
-        let window = |from_s: f64| {
-            let until_s = from_s + self.window_s;
-            reaches(until_s).then(|| metrics::window(trace, from_s, until_s))
-        };
+        let window = |from_s: f64| metrics::whole_window(trial.trace, from_s, from_s + self.window_s);
         let [before, after] = [push.at_s - self.window_s, push.at_s].map(window);
         let of = |quantity: fn(&Frame) -> f64| {
             let [before, after] = [before.clone(), after.clone()].map(|frames| metrics::mean(frames?, quantity));
@@ -117,7 +105,7 @@ impl Experiment for Table4 {
                 "torque_sum_increase_n_m",
             ),
         ] {
-            section.claim(text, paper, quantity, Expected::Lower, &[0]);
+            section.claim(text, paper, quantity, Lower, &[0]);
         }
     }
 }

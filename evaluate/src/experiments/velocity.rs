@@ -1,6 +1,5 @@
 //! The sideways velocity around a push in each run, for the figures of E2 and E10.
 
-use crate::plot::axes::range;
 use crate::plot::curves::{self, Curve};
 use crate::results::Results;
 use crate::section_builder::SectionBuilder;
@@ -40,22 +39,20 @@ pub(super) fn figure(
 ) {
     let curves = section.by_set(|set| marked(curve(section.results, set, condition), set));
     section.figure(part, caption, curves::draw(title, &curves, x_label, "sideways velocity [m/s]"));
-    section.lines([self::lines(lines, section.results)]);
+    section.content.lines.extend([self::lines(lines, section.results)]);
 }
 
 /// Returns mean and extremes over the runs of the shown policy in a condition.
 fn curve(results: &Results, set: usize, condition: usize) -> Curve {
-    let seed = results.shown_seed(set);
-    let runs = seed.and_then(|seed| results.sets[set].get(&seed)?.get(condition));
-    let runs: Vec<_> = runs.into_iter().flatten().filter(|run| run.series.len() == 2).collect();
-    let seed = seed.map_or("–".into(), |seed| seed.to_string());
-    let title = format!("{}, seed {seed}, {} runs", results.names[set], runs.len());
+    let (title, policy) = results.shown(set);
+    let runs = policy.and_then(|policy| policy.get(condition)).into_iter().flatten();
+    let runs: Vec<_> = runs.filter(|run| run.series.len() == 2).collect();
+    let title = format!("{title}, {} runs", runs.len());
     let mut curve = Curve { title, set, if_empty: "no run reached its disturbance", ..Curve::default() };
     let longest = runs.iter().max_by_key(|run| run.series[0].len());
     for (step, time) in longest.map_or(&[][..], |run| &run.series[0]).iter().enumerate() {
         let values: Vec<f64> = runs.iter().filter_map(|run| run.series[1].get(step)).copied().map(f64::from).collect();
-        let [least, largest] = range(values.iter().copied());
-        curve.points.push([f64::from(*time), values.iter().sum::<f64>() / values.len() as f64, least, largest]);
+        curve.points.extend(curves::point(f64::from(*time), &values));
     }
     curve
 }

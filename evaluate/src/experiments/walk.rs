@@ -5,7 +5,6 @@ use std::collections::BTreeMap;
 use super::prelude::*;
 use crate::results::Results;
 use crate::section_content::{Claim, difference, spread};
-use crate::statistics::Verdict;
 use supple::scenario::catalog::Walk as WalkScenario;
 
 const QUANTITIES: &[Quantity] = &[
@@ -26,11 +25,9 @@ const QUANTITIES: &[Quantity] = &[
 /// The fraction of time in flight from which a gait counts as hopping; a trot at this speed has almost none.
 const HOPPING_FRACTION: f64 = 0.3;
 
-/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Walk {
-    /// The number of trials of each policy at each command.
     pub trials: u32,
     /// The commands: forward \[m/s\], left \[m/s\], yaw rate \[rad/s\].
     pub commands: Vec<[f64; 3]>,
@@ -61,17 +58,14 @@ impl Walk {
                 let commands = commands.join("; ");
                 notes.push(format!("{name}, seed {seed}, falls without any disturbance at {commands}."));
             }
-            let speed = forward.hypot(*left);
+            let (speed, bound) = (forward.hypot(*left), self.error_bound_m_s);
             for (seed, error) in errors.iter().filter(|(_, error)| speed > 0.0 && **error > 0.5 * speed) {
-                notes.push(format!(
-                    "{name}, seed {seed}, does not walk at its command: its velocity error is {error:.2} m/s."
-                ));
+                let words = "does not walk at its command: its velocity error is";
+                notes.push(format!("{name}, seed {seed}, {words} {error:.2} m/s."));
             }
-            let bound = self.error_bound_m_s;
             for (seed, error) in errors.iter().filter(|(_, error)| **error > bound && **error <= 0.5 * speed) {
-                notes.push(format!(
-                    "{name}, seed {seed}, exceeds the velocity error of {bound} m/s by itself: {error:.3} m/s."
-                ));
+                let words = format!("exceeds the velocity error of {bound} m/s by itself");
+                notes.push(format!("{name}, seed {seed}, {words}: {error:.3} m/s."));
             }
         }
         notes
@@ -95,75 +89,64 @@ fn mean_error_note(results: &Results) -> String {
 
 /// Returns a command in words.
 pub(super) fn label([forward, left, turn]: [f64; 3]) -> String {
-    let parts = [("forward", forward), ("left", left), ("turn", turn)];
-    let words: Vec<String> = parts
-        .iter()
-        .filter(|(_, value)| *value != 0.0)
-        .map(|(name, value)| format!("{name} {}", brief(*value)))
-        .collect();
+    let parts = [("forward", forward), ("left", left), ("turn", turn)].into_iter().filter(|(_, value)| *value != 0.0);
+    let words: Vec<String> = parts.map(|(name, value)| format!("{name} {}", brief(value))).collect();
     if words.is_empty() { "standing".to_owned() } else { words.join(", ").replace('-', "−") }
 }
 
 impl Experiment for Walk {
     fn info(&self) -> ExperimentInfo {
         ExperimentInfo {
-            id: "E0",
-            number: 0,
-            name: "walk",
-            title: "Walking undisturbed",
             paper: "Fig. 5, caption",
             method: "The policy walks on flat ground without disturbance. Errors are mean velocity minus command from \
                      2 s on, in the heading frame; the velocity error is the length of the horizontal one. Nothing is \
                      drawn at random but the sensors' noise, where there are sensors.",
-            quantities: QUANTITIES,
-            trials: self.trials,
+            ..ExperimentInfo::new("E0", 0, "walk", "Walking undisturbed", QUANTITIES, self.trials)
         }
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let base: WalkScenario = defaults("walk")?;
-        let condition = |command: &[f64; 3]| {
+        Ok(conditions(&self.commands, |command| {
             let [forward_m_s, left_m_s, yaw_rad_s] = *command;
             let task = Task { forward_m_s, left_m_s, yaw_rad_s, ..base.task.clone() };
-            Condition { label: label(*command), scenario: Scenario::Walk(WalkScenario { task }) }
-        };
-        Ok(self.commands.iter().map(condition).collect())
+            (label(*command), Scenario::Walk(WalkScenario { task }))
+        }))
     }
 
     fn measure(&self, trial: &Trial) -> TrialValues {
-        if !trial.is_upright() {
-            let undefined = QUANTITIES[1..].iter().map(|_| None);
-            return std::iter::once(trial.end.fell()).chain(undefined).collect::<Vec<_>>().into();
-        }
         let (trace, end_s) = (trial.trace, trial.script.duration_s);
         let errors = metrics::velocity_errors(trace, metrics::SETTLE_S, end_s);
-        let mut values = vec![trial.end.fell(), trial.velocity_error()];
-        values.extend((0..3).map(|axis| errors.map(|errors| errors[axis])));
-        values.extend(QUANTITIES[5..].iter().map(|quantity| match quantity.name {
+        let value = |quantity: &Quantity| match quantity.name {
+            "fell" => trial.end.fell(),
+            _ if !trial.is_upright() => None,
+            "velocity_error_m_s" => trial.velocity_error(),
+            "forward_error_m_s" => Some(errors?[0]),
+            "left_error_m_s" => Some(errors?[1]),
+            "yaw_error_rad_s" => Some(errors?[2]),
             "flight_fraction" => metrics::flight_fraction(trace, metrics::SETTLE_S, end_s),
             name => trial.metric(name),
-        }));
-        values.into()
+        };
+        QUANTITIES.iter().map(value).collect::<Vec<_>>().into()
     }
 
     fn report(&self, section: &mut SectionBuilder) {
         let caption = "Walking undisturbed, by command: forward and left in m/s, turn (to the left) in rad/s.";
         let (results, first) = (section.results, section.first_label());
-        let of_first = ConditionGroup { name: first.to_owned(), conditions: vec![0] };
+        let of_first = ConditionGroup::new(first, [0]);
         let title = format!("Walking undisturbed at the command of the other experiments ({first}).");
         section.table_with_rows(&title, section.rows(&[of_first]));
         section.table_in_file("commands", caption);
         let (quantity, bound) = ("velocity_error_m_s", self.error_bound_m_s);
         let text = format!("Walking undisturbed ({first}), both sets keep the mean velocity error below {bound} m/s");
         let (comparison, quantity) = (results.compare_over(&[0], quantity), results.quantity(quantity));
-        let verdict = Verdict::from_bound(bound, &comparison);
-        section.content.claims.push(Claim { text, paper: "< 0.05 / < 0.05 m/s".into(), quantity, comparison, verdict });
+        section.content.claims.push(Claim::below(bound, text, "< 0.05 / < 0.05 m/s", quantity, comparison));
         section.dots(
             "",
             "Velocity error and mechanical power without disturbance, by command",
             &["velocity_error_m_s", "power_w"],
             "Commands forward and left are in m/s, turns to the left in rad/s.",
         );
-        section.notes(std::iter::once(mean_error_note(results)).chain(self.warnings(results)));
+        section.content.notes.extend(std::iter::once(mean_error_note(results)).chain(self.warnings(results)));
     }
 }

@@ -11,42 +11,29 @@ const QUANTITIES: &[Quantity] = &[
     FELL,
 ];
 
-/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Wall {
-    /// The forward commands \[m/s\].
     pub commands_m_s: Vec<f64>,
-    /// The number of trials of each policy at each command.
     pub trials: u32,
 }
 
 impl Experiment for Wall {
     fn info(&self) -> ExperimentInfo {
         ExperimentInfo {
-            id: "E14b",
-            number: 16,
-            name: "wall",
-            title: "A wall that gives",
-            paper: "",
             method: "The robot walks into a wall of 700 N/m and 4 N·s/m that presses its trunk's centre of mass back, \
                      and presses on until the end, some 5 s. Peak force and depth are the largest ones. A fall leaves \
                      all but the falls undefined.",
-            quantities: QUANTITIES,
-            trials: self.trials,
+            ..ExperimentInfo::new("E14b", 16, "wall", "A wall that gives", QUANTITIES, self.trials)
         }
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let base: WallScenario = defaults("wall")?;
-        let condition = |command: &f64| Condition {
-            label: format!("{} m/s", brief(*command)),
-            scenario: Scenario::Wall(WallScenario {
-                task: Task { forward_m_s: *command, ..base.task.clone() },
-                ..base
-            }),
-        };
-        Ok(self.commands_m_s.iter().map(condition).collect())
+        Ok(conditions(&self.commands_m_s, |command| {
+            let task = Task { forward_m_s: *command, ..base.task.clone() };
+            (format!("{} m/s", brief(*command)), Scenario::Wall(WallScenario { task, ..base }))
+        }))
     }
 
     fn report(&self, section: &mut SectionBuilder) {
@@ -57,7 +44,6 @@ impl Experiment for Wall {
             &["peak_force_n", "blow_n_s", "depth_m"],
             "The impulse is that of the first second. Trials with a fall have none.",
         );
-        let all = section.all();
         for (quantity, words) in [
             ("peak_force_n", "have a lower peak force"),
             ("blow_n_s", "have a smaller impulse in the first second"),
@@ -65,7 +51,7 @@ impl Experiment for Wall {
             ("fell", "fall less often"),
         ] {
             let text = format!("Walking into a wall that gives, compliant policies {words}");
-            section.claim(&text, "", quantity, Expected::Lower, &all);
+            section.claim(&text, "", quantity, Lower, &section.all());
         }
     }
 }

@@ -1,29 +1,32 @@
 //! Rectangular panels (data to pixels, grid lines, ticks, labels), legends and marks.
 
 use super::svg::{Anchor, Stroke, Svg, Text};
-use super::{GREY, INK, LARGE, PALE, SMALL, colour, line};
+use super::{GREY, LARGE, PALE, SMALL, colour, line};
 
-/// A rectangle of a figure with data coordinates.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// A rectangle of a figure, from its upper left corner \[px\], with the data ranges along x and, upwards, along y.
 pub struct Panel {
-    /// The upper left corner \[px\].
     pub corner: [f64; 2],
-    /// The width and height \[px\].
     pub size: [f64; 2],
-    /// The data range along x.
     pub x: [f64; 2],
-    /// The data range along y, upwards.
     pub y: [f64; 2],
 }
 
 impl Panel {
     /// Converts a point from data coordinates to pixels.
     pub fn at(&self, point: [f64; 2]) -> [f64; 2] {
-        let part = |value: f64, [low, high]: [f64; 2]| (value - low) / (high - low);
-        [
-            self.corner[0] + self.size[0] * part(point[0], self.x),
-            self.corner[1] + self.size[1] * (1.0 - part(point[1], self.y)),
-        ]
+        let part = |axis: usize, [low, high]: [f64; 2]| (point[axis] - low) / (high - low);
+        let parts = [part(0, self.x), 1.0 - part(1, self.y)];
+        [0, 1].map(|axis| self.corner[axis] + self.size[axis] * parts[axis])
+    }
+
+    /// Returns a column of the points of a curve (x, mean, least, largest) in pixels.
+    pub fn path(&self, points: &[[f64; 4]], column: usize) -> Vec<[f64; 2]> {
+        points.iter().map(|point| self.at([point[0], point[column]])).collect()
+    }
+
+    /// Returns the outline between the least and the largest values of a curve, in pixels.
+    pub fn band(&self, points: &[[f64; 4]]) -> Vec<[f64; 2]> {
+        self.path(points, 3).into_iter().chain(self.path(points, 2).into_iter().rev()).collect()
     }
 
     /// Draws frame, grid lines that reach a little out of it, and labels. Without `y_label` it omits the numbers along y, which a neighbour has.
@@ -46,15 +49,11 @@ impl Panel {
         self.draw_frame(svg);
         svg.text([0.5 * (left + right), bottom + 35.0], x_label, Text::new(SMALL, Anchor::Middle));
         if let Some(label) = y_label {
-            svg.text(
-                [left - 42.0, 0.5 * (top + bottom)],
-                label,
-                Text { upwards: true, ..Text::new(SMALL, Anchor::Middle) },
-            );
+            let style = Text { upwards: true, ..Text::new(SMALL, Anchor::Middle) };
+            svg.text([left - 42.0, 0.5 * (top + bottom)], label, style);
         }
     }
 
-    /// Draws the panel's border.
     pub fn draw_frame(&self, svg: &mut Svg) {
         let [left, top] = self.corner;
         let [right, bottom] = [left + self.size[0], top + self.size[1]];
@@ -94,14 +93,6 @@ pub fn draw_mark(svg: &mut Svg, [x, y]: [f64; 2], set: usize, radius: f64, fille
     };
     svg.area(&[corners], fill, 1.0);
     svg.outline(corners, stroke);
-}
-
-/// Draws a cross.
-pub fn draw_cross(svg: &mut Svg, centre: [f64; 2], radius: f64) {
-    let [x, y] = centre;
-    for sign in [-1.0, 1.0] {
-        svg.line([x - radius, y - sign * radius], [x + radius, y + sign * radius], Stroke::new(INK, 1.5));
-    }
 }
 
 /// Returns about `count` round numbers within a range.

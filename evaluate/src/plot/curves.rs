@@ -3,13 +3,12 @@
 use super::axes::{Panel, draw_mark, range, range_from_zero};
 use super::svg::{Anchor, Stroke, Svg, Text};
 use super::{BAND, GREY, INK, SMALL, WIDTH, colour};
+use crate::statistics::mean;
 
-/// The mean and the extremes of several runs, with the annotations of their panel.
+/// The mean and the extremes of several runs, in the colour of a set, with the annotations of their panel.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Curve {
-    /// The index of the set, which decides the colour.
     pub set: usize,
-    /// The title of the panel.
     pub title: String,
     /// The points (x, mean, least, largest) in order of x.
     pub points: Vec<[f64; 4]>,
@@ -21,6 +20,12 @@ pub struct Curve {
     pub diagonal: bool,
     /// The reason that the panel shows if there are no points.
     pub if_empty: &'static str,
+}
+
+/// Returns the point of a curve (x, mean, least, largest) from the values at x; none if there are none.
+pub fn point(x: f64, values: &[f64]) -> Option<[f64; 4]> {
+    let [least, largest] = range(values.iter().copied());
+    Some([x, mean(values.iter().copied())?, least, largest])
 }
 
 /// The height of a row of panels \[px\].
@@ -59,7 +64,6 @@ pub fn draw(title: &str, curves: &[Curve], x_label: &str, y_label: &str) -> Stri
 }
 
 fn draw_curve(svg: &mut Svg, panel: &Panel, curve: &Curve) {
-    let line = |column: usize| curve.points.iter().map(move |point| panel.at([point[0], point[column]]));
     if curve.points.is_empty() {
         let middle = [panel.corner[0] + 0.5 * panel.size[0], panel.corner[1] + 0.5 * panel.size[1]];
         // Without grid lines behind it.
@@ -67,8 +71,7 @@ fn draw_curve(svg: &mut Svg, panel: &Panel, curve: &Curve) {
         svg.rectangle([middle[0] - 0.5 * width, middle[1] - 14.0], [width, 20.0], "white");
         return svg.text(middle, curve.if_empty, Text { colour: GREY, ..Text::new(SMALL, Anchor::Middle) });
     }
-    let band: Vec<_> = line(3).chain(line(2).rev()).collect();
-    svg.area(&[&band], colour(curve.set), BAND);
+    svg.area(&[&panel.band(&curve.points)], colour(curve.set), BAND);
     if let Some([level, half]) = curve.tolerance {
         for value in [level - half, level + half] {
             let line = Stroke::new(GREY, 1.0).dashed("2 3");
@@ -86,7 +89,7 @@ fn draw_curve(svg: &mut Svg, panel: &Panel, curve: &Curve) {
         svg.line(panel.at([x, least]), panel.at([x, largest]), Stroke::new(colour(curve.set), 2.0));
         draw_mark(svg, panel.at([x, mean]), curve.set, 4.2, true);
     } else {
-        svg.polyline(&line(1).collect::<Vec<_>>(), Stroke::new(colour(curve.set), 2.0));
+        svg.polyline(&panel.path(&curve.points, 1), Stroke::new(colour(curve.set), 2.0));
     }
     if let Some((time, label)) = &curve.mark {
         let top = panel.at([*time, panel.y[1]]);

@@ -21,12 +21,10 @@ fn row_height(sets: usize) -> f64 {
     SET * sets as f64 + 6.0
 }
 
-/// A panel with one quantity.
+/// A panel with one quantity along x, whose rows are its values by condition, then by set.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Dots {
-    /// The quantity along x.
     pub quantity: Quantity,
-    /// The values by condition, then by set.
     pub rows: Vec<Vec<PerSeed>>,
 }
 

@@ -18,12 +18,9 @@ const COLOURS: [[f64; 3]; 9] = [
     [253.0, 231.0, 37.0],
 ];
 
-/// A heat map with its title.
-#[derive(Debug, Clone, PartialEq)]
+/// A heat map of fractions, 0 to 1, with its title.
 pub struct Map<'a> {
-    /// The title above the map.
     pub title: String,
-    /// The fractions, 0 to 1.
     pub grid: &'a SquareGrid,
 }
 

@@ -7,16 +7,10 @@ use resvg::{tiny_skia, usvg};
 /// The number of pixels of the PNG per pixel of the figure: about 300 per inch at a width of 7 inches.
 const SCALE: f32 = 2.75;
 
-/// The reason why a figure cannot be rendered as PNG.
+/// The reason why a figure cannot be rendered as PNG: it is no SVG, too large for memory, or cannot be encoded.
 #[derive(Debug, thiserror::Error)]
-pub enum RenderError {
-    /// The text is not an SVG document.
-    #[error("the figure is not valid SVG: {0}")]
-    Svg(#[from] usvg::Error),
-    /// The picture is empty, too large for memory, or cannot be encoded.
-    #[error("the figure cannot be rendered: {0}")]
-    Encode(Box<dyn std::error::Error + Send + Sync>),
-}
+#[error("the figure cannot be rendered: {0}")]
+pub struct RenderError(Box<dyn std::error::Error + Send + Sync>);
 
 /// Renders SVG figures as PNG.
 pub struct Renderer {
@@ -34,17 +28,14 @@ impl Default for Renderer {
 }
 
 impl Renderer {
-    /// Returns the bytes of a PNG file.
-    ///
-    /// # Errors
-    /// The text is not SVG, or the picture is too large or cannot be encoded.
+    /// Returns the bytes of a PNG file; see [`RenderError`].
     pub fn png(&self, svg: &str) -> Result<Vec<u8>, RenderError> {
-        let tree = usvg::Tree::from_str(svg, &self.options)?;
+        let tree = usvg::Tree::from_str(svg, &self.options).map_err(|error| RenderError(error.into()))?;
         let size = tree.size();
         let (width, height) = ((SCALE * size.width()).round() as u32, (SCALE * size.height()).round() as u32);
-        let size = || RenderError::Encode(format!("{width} by {height} pixels").into());
+        let size = || RenderError(format!("{width} by {height} pixels").into());
         let mut picture = tiny_skia::Pixmap::new(width, height).ok_or_else(size)?;
         resvg::render(&tree, tiny_skia::Transform::from_scale(SCALE, SCALE), &mut picture.as_mut());
-        picture.encode_png().map_err(|error| RenderError::Encode(error.into()))
+        picture.encode_png().map_err(|error| RenderError(error.into()))
     }
 }

@@ -11,28 +11,23 @@ use crate::statistics::Spread;
 const RADIUS: f64 = 134.0;
 
 /// A panel with a quantity in directions that divide the circle evenly, counter-clockwise from forward.
-#[derive(Debug, Clone, PartialEq)]
 pub struct Polar {
-    /// The title above the panel.
     pub title: String,
     /// The values by set, then by direction; none where a value is undefined.
     pub sets: Vec<Vec<Option<Spread>>>,
 }
 
-/// The scales of the panels; all sets of a panel share one.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// The scales of the panels, one for all or their own; all sets of a panel share one.
 pub enum Scales {
-    /// All panels have the same scale.
     Shared,
-    /// Each panel has its own scale.
     Own,
     /// The outermost circle of all panels is 100 %, and what lies beyond it is cut off.
     Percent,
 }
 
 /// Returns directions that divide the circle evenly, counter-clockwise from forward \[deg\].
-pub fn evenly(count: u32) -> impl Iterator<Item = f64> {
-    (0..count).map(move |k| 360.0 * f64::from(k) / f64::from(count))
+pub fn evenly(count: u32) -> Vec<f64> {
+    (0..count).map(|k| 360.0 * f64::from(k) / f64::from(count)).collect()
 }
 
 /// Draws panels side by side.

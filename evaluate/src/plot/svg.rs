@@ -3,23 +3,18 @@
 use std::fmt::Write as _;
 
 /// An SVG drawing under construction. Lengths are in pixels, y points down.
-#[derive(Debug, Clone, PartialEq)]
 pub struct Svg {
     width: f64,
     height: f64,
     body: String,
 }
 
-/// The style of a line.
+/// The style of a line: colour as `#rrggbb`, width \[px\], `stroke-dasharray`, and opacity, 0 to 1.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Stroke {
-    /// The colour as `#rrggbb`.
     pub colour: &'static str,
-    /// The width of the line \[px\].
     pub width: f64,
-    /// The `stroke-dasharray`, empty for a solid line.
     pub dash: &'static str,
-    /// The opacity, 0 to 1.
     pub opacity: f64,
 }
 
@@ -29,13 +24,11 @@ impl Stroke {
         Stroke { colour, width, dash: "", opacity: 1.0 }
     }
 
-    /// Sets the dashes.
     pub const fn dashed(mut self, dash: &'static str) -> Self {
         self.dash = dash;
         self
     }
 
-    /// Sets the opacity, 0 to 1.
     pub const fn faint(mut self, opacity: f64) -> Self {
         self.opacity = opacity;
         self
@@ -53,29 +46,21 @@ impl Stroke {
     }
 }
 
-/// The place of a text's given point.
+/// The part of a text that lies at its given point.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Anchor {
-    /// The left end of the text.
     Start,
-    /// The middle of the text.
     Middle,
-    /// The right end of the text.
     End,
 }
 
-/// The style of a text.
+/// The style of a text of a font size \[px\]; one that is `upwards` is turned.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Text {
-    /// The font size \[px\].
     pub size: f64,
-    /// The colour as `#rrggbb`.
     pub colour: &'static str,
-    /// True for bold text.
     pub bold: bool,
-    /// The place of the given point in the text.
     pub anchor: Anchor,
-    /// True for text that reads upwards.
     pub upwards: bool,
     /// True for a white rim, which keeps text readable over lines.
     pub rimmed: bool,
@@ -89,7 +74,6 @@ impl Text {
 }
 
 impl Svg {
-    /// Creates an empty white drawing.
     pub fn new(width: f64, height: f64) -> Self {
         Svg { width, height, body: String::new() }
     }
@@ -102,11 +86,8 @@ impl Svg {
 
     /// Adds a line from one point to another.
     pub fn line(&mut self, from: [f64; 2], to: [f64; 2], stroke: Stroke) {
-        let ([x1, y1], [x2, y2]) = (from, to);
-        self.add(format_args!(
-            r#"<line x1="{x1:.2}" y1="{y1:.2}" x2="{x2:.2}" y2="{y2:.2}" {}/>"#,
-            stroke.attributes()
-        ));
+        let ([x1, y1], [x2, y2], style) = (from, to, stroke.attributes());
+        self.add(format_args!(r#"<line x1="{x1:.2}" y1="{y1:.2}" x2="{x2:.2}" y2="{y2:.2}" {style}/>"#));
     }
 
     /// Adds a line through points.
@@ -121,34 +102,27 @@ impl Svg {
 
     /// Adds a filled area within closed lines; where two lines overlap, it is empty.
     pub fn area(&mut self, loops: &[&[[f64; 2]]], colour: &str, opacity: f64) {
-        let path: String =
-            loops.iter().filter(|points| !points.is_empty()).map(|points| format!("M{}Z", list(points))).collect();
-        self.add(format_args!(
-            r#"<path d="{path}" fill="{colour}" fill-opacity="{opacity}" fill-rule="evenodd" stroke="none"/>"#
-        ));
+        let loops = loops.iter().filter(|points| !points.is_empty());
+        let path: String = loops.map(|points| format!("M{}Z", list(points))).collect();
+        let style = format!(r#"fill="{colour}" fill-opacity="{opacity}" fill-rule="evenodd" stroke="none""#);
+        self.add(format_args!(r#"<path d="{path}" {style}/>"#));
     }
 
     /// Adds a filled rectangle. Its edges are not smoothed, so that neighbours meet without a seam.
-    pub fn rectangle(&mut self, corner: [f64; 2], size: [f64; 2], colour: &str) {
-        self.add(format_args!(
-            r#"<rect x="{:.2}" y="{:.2}" width="{:.2}" height="{:.2}" fill="{colour}" shape-rendering="crispEdges"/>"#,
-            corner[0], corner[1], size[0], size[1]
-        ));
+    pub fn rectangle(&mut self, [x, y]: [f64; 2], [width, height]: [f64; 2], colour: &str) {
+        let style = format!(r#"fill="{colour}" shape-rendering="crispEdges""#);
+        self.add(format_args!(r#"<rect x="{x:.2}" y="{y:.2}" width="{width:.2}" height="{height:.2}" {style}/>"#));
     }
 
     /// Adds a circle; `fill` may be `none`.
-    pub fn circle(&mut self, centre: [f64; 2], radius: f64, fill: &str, stroke: Stroke) {
-        self.add(format_args!(
-            r#"<circle cx="{:.2}" cy="{:.2}" r="{radius:.2}" fill="{fill}" {}/>"#,
-            centre[0],
-            centre[1],
-            stroke.attributes()
-        ));
+    pub fn circle(&mut self, [x, y]: [f64; 2], radius: f64, fill: &str, stroke: Stroke) {
+        let style = stroke.attributes();
+        self.add(format_args!(r#"<circle cx="{x:.2}" cy="{y:.2}" r="{radius:.2}" fill="{fill}" {style}/>"#));
     }
 
     /// Adds a text whose baseline goes through its point.
-    pub fn text(&mut self, at: [f64; 2], text: &str, style: Text) {
-        let [x, y] = at;
+    pub fn text(&mut self, [x, y]: [f64; 2], text: &str, style: Text) {
+        let Text { size, colour, .. } = style;
         let anchor = match style.anchor {
             Anchor::Start => "start",
             Anchor::Middle => "middle",
@@ -156,16 +130,11 @@ impl Svg {
         };
         let weight = if style.bold { r#" font-weight="bold""# } else { "" };
         let turn = if style.upwards { format!(r#" transform="rotate(-90 {x:.2} {y:.2})""#) } else { String::new() };
-        let rim = if style.rimmed {
-            r#" stroke="white" stroke-width="3.5" stroke-linejoin="round" paint-order="stroke""#
-        } else {
-            ""
-        };
+        let rim = r#" stroke="white" stroke-width="3.5" stroke-linejoin="round" paint-order="stroke""#;
+        let rim = if style.rimmed { rim } else { "" };
+        let (text, style) = (escaped(text), format!(r#"text-anchor="{anchor}"{weight}{rim}{turn}"#));
         self.add(format_args!(
-            r#"<text x="{x:.2}" y="{y:.2}" font-size="{}" fill="{}" text-anchor="{anchor}"{weight}{rim}{turn}>{}</text>"#,
-            style.size,
-            style.colour,
-            escaped(text)
+            r#"<text x="{x:.2}" y="{y:.2}" font-size="{size}" fill="{colour}" {style}>{text}</text>"#
         ));
     }
 
@@ -189,9 +158,6 @@ fn list(points: &[[f64; 2]]) -> String {
 
 /// Returns a text with the characters replaced that XML reserves or cannot hold.
 fn escaped(text: &str) -> String {
-    text.replace(char::is_control, " ")
-        .replace('&', "&amp;")
-        .replace('<', "&lt;")
-        .replace('>', "&gt;")
-        .replace('"', "&quot;")
+    let text = text.replace(char::is_control, " ").replace('&', "&amp;");
+    text.replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

@@ -7,31 +7,25 @@ use super::{GREY, INK, WIDTH, colour};
 /// The pose of a box: x \[m\], y \[m\], yaw \[rad\].
 pub type BoxPose = [f64; 3];
 
-/// The path of the robot and the poses of the box in one trial.
-#[derive(Debug, Clone, PartialEq)]
+/// The path of the trunk (x, y) \[m\] in one trial, which may end with a fall, and the poses of the box before and after.
 pub struct Run {
-    /// The trunk's path (x, y) \[m\].
     pub path: Vec<[f64; 2]>,
-    /// The pose of the box at the start.
     pub first: BoxPose,
-    /// The pose of the box at the end.
     pub last: BoxPose,
-    /// True if the robot fell at the end of the path.
     pub fell: bool,
 }
 
-/// The runs of one set. The first is drawn in full, the others faintly.
-#[derive(Debug, Clone, PartialEq)]
+/// The runs of one set in the order of trials. The first is drawn in full, the others faintly.
 pub struct View {
-    /// The title above the panel.
     pub title: String,
-    /// The runs in the order of trials.
     pub runs: Vec<Run>,
 }
 
 /// Draws all views on one scale, with equal lengths along both axes.
 pub fn draw(title: &str, views: &[View], box_size_m: f64) -> String {
-    let points = || views.iter().flat_map(|view| &view.runs).flat_map(|run| corners_and_path(run, box_size_m));
+    let boxes = |run: &Run| [run.first, run.last].map(|pose| corners(pose, box_size_m)).concat();
+    let of_run = |run: &Run| [&run.path[..], &boxes(run)].concat();
+    let points = || views.iter().flat_map(|view| &view.runs).flat_map(of_run);
     let range = |axis: usize| {
         points().map(|point| point[axis]).fold([-0.4_f64, 0.4], |[low, high], v| [low.min(v - 0.1), high.max(v + 0.1)])
     };
@@ -56,13 +50,6 @@ pub fn draw(title: &str, views: &[View], box_size_m: f64) -> String {
     svg.finish(title)
 }
 
-fn corners_and_path(run: &Run, size_m: f64) -> Vec<[f64; 2]> {
-    let mut points = run.path.clone();
-    points.extend(corners(run.first, size_m));
-    points.extend(corners(run.last, size_m));
-    points
-}
-
 fn corners([x, y, yaw]: BoxPose, size_m: f64) -> [[f64; 2]; 4] {
     let half = 0.5 * size_m;
     [[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]].map(|[u, v]: [f64; 2]| {
@@ -84,6 +71,9 @@ fn draw_run(svg: &mut Svg, panel: &Panel, run: &Run, set: usize, size_m: f64, in
         svg.polyline(&pixels(&run.path), Stroke::new(colour(set), 1.0).faint(0.45));
     }
     if let (true, Some(end)) = (run.fell, run.path.last()) {
-        super::axes::draw_cross(svg, panel.at(*end), if in_full { 5.0 } else { 3.5 });
+        let ([x, y], radius) = (panel.at(*end), if in_full { 5.0 } else { 3.5 });
+        for rise in [-radius, radius] {
+            svg.line([x - radius, y - rise], [x + radius, y + rise], Stroke::new(INK, 1.5));
+        }
     }
 }

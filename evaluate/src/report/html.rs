@@ -3,7 +3,7 @@
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use super::markdown::{Rows, cells, claim_rows, columns, policy_rows, training_rows, used_columns};
-use super::{Report, Section, TOO_FEW, duration, other_reports};
+use super::{Report, Section, TOO_FEW, duration};
 use crate::policy_sets::Training;
 use crate::results::EndCounts;
 use crate::section_content::{Claim, Figure, Table};
@@ -24,7 +24,6 @@ pub fn page(report: &Report) -> String {
         (introduction(report))
         (PreEscaped(DEFINITIONS))
         (claims(report))
-        @if !report.other_reports.is_empty() { (other_reports_table(report)) }
         (policies(report))
         @for section in &report.sections { (experiment(section, report)) }
         @if !report.sensing.experiments.is_empty() { (sensing(report)) }
@@ -130,14 +129,6 @@ fn plain_table((columns, rows): Rows) -> Markup {
 /// Returns the table of what a reader has to know of the sets.
 pub fn sets_table(training: &[Training]) -> Markup {
     plain_table(training_rows(training))
-}
-
-fn other_reports_table(report: &Report) -> Markup {
-    html! {
-        h2 id="beside" { (other_reports::TITLE) }
-        p { (other_reports::CAPTION) }
-        (plain_table(other_reports::table(report)))
-    }
 }
 
 fn policies(report: &Report) -> Markup {

@@ -1,6 +1,6 @@
 //! Tables as Markdown, and the document of all claims.
 
-use super::{Report, TOO_FEW, duration, other_reports};
+use super::{Report, Section, TOO_FEW, duration};
 use crate::policy_sets::{PolicySet, SetMember, Training, millions};
 use crate::section_content::{Claim, NOTHING, Row, Table, difference, percent, spread};
 use crate::statistics::Verdict;
@@ -47,29 +47,6 @@ pub fn policy_rows(report: &Report) -> Rows {
     (columns.into(), report.policies.members().map(row).collect())
 }
 
-/// Returns the cells of a claim: its text, the paper's numbers, the numbers of each set, difference, relative change, verdict. The
-/// verdict that there are too few pairs is left out if the report says so once.
-pub fn claim_cells(claim: &Claim, says_too_few: bool) -> Vec<String> {
-    let (c, quantity) = (&claim.comparison, claim.quantity);
-    let unit = if quantity.unit.is_empty() { String::new() } else { format!(" {}", quantity.unit) };
-    // The difference of two fractions is not a fraction.
-    let unit_of_difference = unit.replace('%', "points");
-    let mut cells = vec![claim.text.clone(), claim.paper.clone()];
-    cells.extend(c.sets.iter().map(|set| spread(set, quantity, &unit)));
-    cells.push(difference(c, quantity, &unit_of_difference));
-    cells.push(if quantity.unit == "%" { String::new() } else { percent(c.relative, " %") });
-    let is_said = says_too_few && claim.verdict == Verdict::TooFew;
-    cells.push(if is_said { String::new() } else { claim.verdict.text().to_owned() });
-    cells
-}
-
-/// Returns the column titles of [`claim_cells`].
-pub fn claim_columns(names: &[String]) -> Vec<String> {
-    let [difference, relative] = with_pair_names(names, ["difference [95 % interval]", "relative [95 % interval]"]);
-    let paper = ["claim", "the paper's numbers (compliant / baseline)"];
-    titled(paper, names, [difference, relative, "verdict".into()])
-}
-
 /// Adds the names of the two compared sets to titles if there are more than two sets.
 fn with_pair_names<const N: usize>(names: &[String], titles: [&str; N]) -> [String; N] {
     titles.map(|title| match names {
@@ -87,15 +64,31 @@ pub fn table(table: &Table, names: &[String]) -> String {
     format!("{}\n\n{}", table.caption, grid((columns(names), table.rows.iter().map(cells).collect())))
 }
 
-/// Returns the column titles and cells of the claims of all experiments, with the experiment in the first column.
+/// Returns the column titles and cells of the claims of all experiments: experiment, text, the paper's numbers, the numbers of each
+/// set, difference, relative change, verdict. The verdict that there are too few pairs is left out if the report says so once.
 pub fn claim_rows(report: &Report) -> Rows {
     let says_too_few = report.has_too_few_pairs();
-    let claims = report.sections.iter().flat_map(|section| {
-        section.content.claims.iter().map(|claim| (section.info.id.to_owned(), claim_cells(claim, says_too_few)))
-    });
-    let mut columns = claim_columns(&report.names);
-    columns.insert(0, "experiment".into());
-    (columns, claims.map(|(id, cells)| std::iter::once(id).chain(cells).collect()).collect())
+    let cells = |id: &str, claim: &Claim| {
+        let Claim { text, paper, quantity, comparison: c, verdict } = claim;
+        let unit = if quantity.unit.is_empty() { String::new() } else { format!(" {}", quantity.unit) };
+        let mut cells = vec![id.to_owned(), text.clone(), paper.clone()];
+        cells.extend(c.sets.iter().map(|set| spread(set, *quantity, &unit)));
+        // The difference of two fractions is not a fraction.
+        cells.push(difference(c, *quantity, &unit.replace('%', "points")));
+        cells.push(if quantity.unit == "%" { String::new() } else { percent(c.relative, " %") });
+        let is_said = says_too_few && *verdict == Verdict::TooFew;
+        cells.push(if is_said { String::new() } else { verdict.text().to_owned() });
+        cells
+    };
+    let rows = report
+        .sections
+        .iter()
+        .flat_map(|section| section.content.claims.iter().map(move |claim| (section.info.id, claim)));
+    let titles = ["difference [95 % interval]", "relative [95 % interval]"];
+    let [difference, relative] = with_pair_names(&report.names, titles);
+    let first = ["experiment", "claim", "the paper's numbers (compliant / baseline)"];
+    let columns = titled(first, &report.names, [difference, relative, "verdict".into()]);
+    (columns, rows.map(|(id, claim)| cells(id, claim)).collect())
 }
 
 /// Returns the table of the claims of all experiments.
@@ -107,11 +100,6 @@ pub fn claims(report: &Report) -> String {
     }
     let few = if report.has_too_few_pairs() { format!("{TOO_FEW}\n\n") } else { String::new() };
     few + &grid((columns, rows))
-}
-
-/// Returns the table of the claims here and in other reports.
-pub fn other_reports_table(report: &Report) -> String {
-    grid(other_reports::table(report))
 }
 
 /// Returns the document of all claims (`research/results.md`), whose figures are in `images/`.
@@ -131,7 +119,7 @@ pub fn document(report: &Report) -> String {
         duration(report.wall_s()),
         claims(report)
     );
-    let of_section = |section: &super::Section| {
+    let of_section = |section: &Section| {
         section.content.notes.iter().map(|note| format!("- {}: {note}\n", section.info.id)).collect::<String>()
     };
     let mut notes: String = report.sections.iter().map(of_section).collect();
@@ -142,34 +130,21 @@ pub fn document(report: &Report) -> String {
     if !notes.is_empty() {
         text.push_str(&format!("\n{notes}"));
     }
-    if !report.other_reports.is_empty() {
-        text.push_str(&format!(
-            "\n## {}\n\n{}\n\n{}",
-            other_reports::TITLE,
-            other_reports::CAPTION,
-            other_reports_table(report)
-        ));
-    }
     for figure in report.figures_of_document() {
         text.push_str(&format!("\n![{0}](images/{0}.png)\n\n{1}\n", figure.name, figure.caption));
     }
     if !report.sensing.experiments.is_empty() {
         text.push_str(&format!("\n## E12: acting on sensors\n\n{}", list(&report.sensing.notes)));
-        for (table, names) in report.sensing.tables().iter().filter(|(table, _)| table.in_page) {
-            text.push_str(&format!("\n{}", self::table(table, names)));
-        }
+    }
+    for (table, names) in report.sensing.tables().iter().filter(|(table, _)| table.in_page) {
+        text.push_str(&format!("\n{}", self::table(table, names)));
     }
     text.push_str("\n## Policies\n\n");
     text.push_str(&grid(policy_rows(report)));
     text.push_str("\n## Trials\n\n");
-    let rows = report.sections.iter().map(|section| {
-        let counts = [
-            format!("{} {}", section.info.id, section.info.title),
-            section.conditions.to_string(),
-            section.info.trials.to_string(),
-        ];
-        let falls = section.ends.iter().map(|ends| format!("{} of {}", ends.falls, ends.trials));
-        counts.into_iter().chain(falls).collect()
+    let rows = report.sections.iter().map(|Section { info, conditions, ends, .. }| {
+        let counts = [format!("{} {}", info.id, info.title), conditions.to_string(), info.trials.to_string()];
+        counts.into_iter().chain(ends.iter().map(|ends| format!("{} of {}", ends.falls, ends.trials))).collect()
     });
     let counts = ["experiment", "conditions", "trials of each with each policy"];
     let falls: Vec<String> = report.names.iter().map(|name| format!("falls, {name}")).collect();

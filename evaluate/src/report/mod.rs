@@ -7,7 +7,6 @@ have six digits. Durations and the command are in the page only.
 mod csv_tables;
 pub(crate) mod html;
 mod markdown;
-pub mod other_reports;
 pub mod summary;
 pub mod text;
 
@@ -16,7 +15,6 @@ use std::fs;
 use std::io;
 use std::path::Path;
 
-use self::other_reports::OtherReport;
 use super::plot::png::{RenderError, Renderer};
 use super::policy_sets::PolicySets;
 use super::results::EndCounts;
@@ -34,13 +32,8 @@ pub enum ReportError {
     #[error("cannot write the {0}")]
     Write(#[from] FileError),
     /// A figure cannot be rendered as PNG.
-    #[error("figure {name}: {source}")]
-    Figure {
-        /// The figure's name.
-        name: String,
-        /// The reason.
-        source: RenderError,
-    },
+    #[error("figure {0}: {1}")]
+    Figure(String, #[source] RenderError),
 }
 
 /// The command line that makes a report.
@@ -87,18 +80,14 @@ impl Section {
         let results = &measurement.results;
         let mut content = experiment.content(results);
         let ends: Vec<EndCounts> = (0..results.sets.len()).map(|set| results.ends(set)).collect();
-        for (name, ends) in results.names.iter().zip(&ends) {
-            if ends.trials > 0 && ends.falls == ends.trials {
-                content.notes.push(format!(
-                    "{name} fell in every trial: quantities that a fall leaves undefined are shown as –."
-                ));
+        for (name, EndCounts { trials, falls, out_of_reach, .. }) in results.names.iter().zip(&ends) {
+            if *trials > 0 && falls == trials {
+                let words = "fell in every trial: quantities that a fall leaves undefined are shown as –.";
+                content.notes.push(format!("{name} {words}"));
             }
-            if ends.out_of_reach > 0 {
-                content.notes.push(format!(
-                    "{} of {} trials of {name} were not played: some of its policies do not support the commanded compliance.",
-                    ends.out_of_reach,
-                    ends.out_of_reach + ends.trials
-                ));
+            if *out_of_reach > 0 {
+                let words = "were not played: some of its policies do not support the commanded compliance.";
+                content.notes.push(format!("{out_of_reach} of {} trials of {name} {words}", out_of_reach + trials));
             }
         }
         content.notes.extend((0..results.sets.len()).filter_map(|set| results.faults(set)));
@@ -134,8 +123,6 @@ pub struct Report<'a> {
     pub missing: Vec<ExperimentInfo>,
     /// E12: the experiments that were also run with estimated sensing.
     pub sensing: SensingComparison,
-    /// Other reports whose claims are shown beside these.
-    pub other_reports: Vec<OtherReport>,
     /// Learning curves of the sets that are runs.
     pub curves: Vec<Figure>,
 }
@@ -155,7 +142,6 @@ impl<'a> Report<'a> {
             sections: Vec::new(),
             missing: Vec::new(),
             sensing: SensingComparison::new(policies),
-            other_reports: Vec::new(),
             curves: Vec::new(),
         }
     }
@@ -215,16 +201,11 @@ impl<'a> Report<'a> {
                 write(&tables.join(format!("{}.csv", lines.name)), csv_tables::points_csv(lines).as_bytes())?;
             }
         }
-        if !self.sensing.experiments.is_empty() {
-            for (table, names) in self.sensing.tables() {
-                write_table(&tables, table, &names)?;
-            }
+        for (table, names) in self.sensing.tables() {
+            write_table(&tables, table, &names)?;
         }
         write(&tables.join("claims.csv"), csv_tables::claims_csv(self).as_bytes())?;
         write(&tables.join("claims.md"), markdown::claims(self).as_bytes())?;
-        if !self.other_reports.is_empty() {
-            write(&tables.join("beside.md"), markdown::other_reports_table(self).as_bytes())?;
-        }
         write(&out.join("summary.json"), summary::json(self).as_bytes())?;
         write(&out.join("report.html"), html::page(self).as_bytes())?;
         Ok(failed)
@@ -254,12 +235,21 @@ impl<'a> Report<'a> {
     }
 }
 
+/// Writes a figure as SVG and PNG.
+///
+/// # Errors
+/// A file cannot be written, or the figure cannot be rendered.
+pub fn write_figure(figure: &Figure, folder: &Path) -> Result<(), ReportError> {
+    write(&folder.join(format!("{}.svg", figure.name)), figure.svg.as_bytes())?;
+    write_png(&Renderer::default(), figure, folder)?.map_or(Ok(()), Err)
+}
+
 /// Writes a figure as PNG; returns why it cannot be rendered, if it cannot.
 fn write_png(renderer: &Renderer, figure: &Figure, folder: &Path) -> Result<Option<ReportError>, ReportError> {
     let name = &figure.name;
     match renderer.png(&figure.svg) {
         Ok(png) => write(&folder.join(format!("{name}.png")), &png).map(|()| None),
-        Err(source) => Ok(Some(ReportError::Figure { name: name.clone(), source })),
+        Err(error) => Ok(Some(ReportError::Figure(name.clone(), error))),
     }
 }
 

@@ -5,7 +5,7 @@ use serde_json::{Map, Value, json};
 use super::{Report, Section};
 use crate::Quantity;
 use crate::policy_sets::{PolicySet, SetMember};
-use crate::section_content::Table;
+use crate::section_content::{Claim, Row, Table};
 use crate::statistics::{Comparison, Numbers};
 
 /// Returns the summary of a report as JSON.
@@ -52,7 +52,7 @@ fn sensing(report: &Report) -> Value {
 
 /// Returns a table's name and rows.
 fn table(table: &Table, names: &[String]) -> (String, Value) {
-    let row = |row: &crate::section_content::Row| {
+    let row = |row: &Row| {
         json!({
             "condition": row.condition, "quantity": row.quantity.name, "unit": row.quantity.unit, "paper": row.paper,
             "ours": comparison(names, &row.comparison, row.quantity),
@@ -63,18 +63,13 @@ fn table(table: &Table, names: &[String]) -> (String, Value) {
 
 fn experiment(section: &Section, names: &[String]) -> Value {
     let ends: Map<String, Value> = names.iter().cloned().zip(section.ends.iter().map(|ends| json!(ends))).collect();
-    let claims: Vec<Value> = section
-        .content
-        .claims
-        .iter()
-        .map(|claim| {
-            json!({
-                "claim": claim.text, "paper": claim.paper, "quantity": claim.quantity.name,
-                "unit": claim.quantity.unit, "verdict": claim.verdict,
-                "ours": comparison(names, &claim.comparison, claim.quantity),
-            })
+    let claim = |claim: &Claim| {
+        json!({
+            "claim": claim.text, "paper": claim.paper, "quantity": claim.quantity.name, "unit": claim.quantity.unit,
+            "verdict": claim.verdict, "ours": comparison(names, &claim.comparison, claim.quantity),
         })
-        .collect();
+    };
+    let claims: Vec<Value> = section.content.claims.iter().map(claim).collect();
     json!({
         "id": section.info.id,
         "name": section.info.name,
@@ -92,22 +87,17 @@ fn experiment(section: &Section, names: &[String]) -> Value {
 /// Returns a comparison in the quantity's unit; a relative change of 10 % is 0.1.
 fn comparison(names: &[String], comparison: &Comparison, quantity: Quantity) -> Value {
     let comparison = comparison.scaled(quantity.scale());
-    let mut sets = Map::new();
-    for (name, Numbers { by_seed: seeds, spread, .. }) in names.iter().zip(&comparison.sets) {
-        let by_seed: Map<String, Value> = seeds.iter().map(|(seed, value)| (seed.to_string(), json!(value))).collect();
-        sets.insert(
-            name.clone(),
-            json!({ "mean": spread.map(|s| s.mean), "sd": spread.and_then(|s| s.sd), "by_seed": by_seed }),
-        );
-    }
-    json!({
-        "sets": sets, "difference": comparison.difference, "relative": comparison.relative,
-        "trials": comparison.trials,
-    })
+    let set = |(name, Numbers { by_seed, spread, .. }): (&String, &Numbers)| {
+        let (mean, sd) = (spread.map(|spread| spread.mean), spread.and_then(|spread| spread.sd));
+        (name.clone(), json!({ "mean": mean, "sd": sd, "by_seed": by_seed }))
+    };
+    let sets: Map<String, Value> = names.iter().zip(&comparison.sets).map(set).collect();
+    let Comparison { difference, relative, trials, .. } = comparison;
+    json!({ "sets": sets, "difference": difference, "relative": relative, "trials": trials })
 }
 
 /// Rounds all numbers of a value to six significant digits.
-pub fn rounded(value: Value) -> Value {
+fn rounded(value: Value) -> Value {
     match value {
         Value::Number(number) if number.is_f64() => {
             let number = number.as_f64().unwrap_or(0.0);

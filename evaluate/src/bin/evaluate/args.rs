@@ -1,6 +1,6 @@
 //! The command line.
 
-use std::ffi::OsStr;
+use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
@@ -36,7 +36,7 @@ pub struct Args {
     pub names: Vec<String>,
     /// Examine one policy beside the shipped references instead: eight disciplines, some minutes, one page (exam.html, exam.png)
     #[arg(long, value_name = "PATH", conflicts_with_all = [
-        "experiments", "policies", "a", "b", "names", "also", "beside", "quick", "joints", "sensing", "results",
+        "experiments", "policies", "a", "b", "names", "also", "quick", "joints", "sensing", "results",
     ])]
     pub exam: Option<PathBuf>,
     /// Draw the learning curves of runs instead, such as runs/fast for all its seeds, into the folder --out
@@ -45,9 +45,6 @@ pub struct Args {
     /// Name and path of a further set, shown beside the two that are compared; may be repeated
     #[arg(long, value_name = "NAME=PATH[@C]", value_parser = name_and_path)]
     pub also: Vec<(String, PathBuf)>,
-    /// Name and folder of another report, whose claims are shown beside these; may be repeated
-    #[arg(long, value_name = "NAME=DIR", value_parser = name_and_path)]
-    pub beside: Vec<(String, PathBuf)>,
     /// Folder of the report
     #[arg(long, value_name = "DIR", default_value = "report")]
     pub out: PathBuf,
@@ -97,32 +94,22 @@ impl Args {
 
     /// Returns the arguments that affect the report, except the experiments, each quoted for a shell.
     pub fn options(&self) -> Vec<String> {
-        let path = |path: &PathBuf| shell_word(path);
-        let sets = match (&self.a, &self.b) {
-            (Some(a), Some(b)) => vec![("--a", path(a)), ("--b", path(b))],
-            _ => self.folder().iter().map(|folder| ("--policies", path(folder))).collect(),
-        };
-        let names = (!self.names.is_empty()).then(|| ("--names", shell_word(self.names.join(","))));
-        let named = |flag| {
-            move |(name, path): &(String, PathBuf)| {
-                (flag, shell_word([OsStr::new(name), path.as_os_str()].join(OsStr::new("="))))
-            }
-        };
-        let also = self.also.iter().map(named("--also"));
-        let beside = self.beside.iter().map(named("--beside"));
-        let protocol = self.protocol.iter().map(|file| ("--protocol", path(file)));
-        let joints = self
-            .joints
-            .iter()
-            .filter_map(|joints| Some(("--joints", joints.to_possible_value()?.get_name().to_owned())));
-        let sensing = (self.sensing == Sensing::Estimated).then(|| ("--sensing", "estimated".to_owned()));
-        let results = self.results.iter().map(|file| ("--results", path(file)));
-        let quick = self.quick.then(|| "--quick".to_owned());
-        let pairs =
-            sets.into_iter().chain(names).chain(also).chain(protocol).chain(joints).chain(sensing).chain(beside);
-        let pairs = pairs.chain([("--out", path(&self.out))]).chain(results);
-        let words = pairs.flat_map(|(key, value)| [key.to_owned(), value]);
-        quick.into_iter().chain(words).collect()
+        let mut options: Vec<(&str, OsString)> = Vec::new();
+        match (&self.a, &self.b) {
+            (Some(a), Some(b)) => options.extend([("--a", a.into()), ("--b", b.into())]),
+            _ => options.extend(self.folder().map(|folder| ("--policies", folder.into()))),
+        }
+        options.extend((!self.names.is_empty()).then(|| ("--names", self.names.join(",").into())));
+        let named = |(name, path): &(String, PathBuf)| [OsStr::new(name), path.as_os_str()].join(OsStr::new("="));
+        options.extend(self.also.iter().map(|also| ("--also", named(also))));
+        options.extend(self.protocol.iter().map(|file| ("--protocol", file.into())));
+        let joints = self.joints.and_then(|joints| joints.to_possible_value());
+        options.extend(joints.map(|joints| ("--joints", joints.get_name().into())));
+        options.extend((self.sensing == Sensing::Estimated).then(|| ("--sensing", "estimated".into())));
+        options.push(("--out", self.out.clone().into()));
+        options.extend(self.results.iter().map(|file| ("--results", file.into())));
+        let words = options.into_iter().flat_map(|(key, value)| [key.to_owned(), shell_word(value)]);
+        self.quick.then(|| "--quick".to_owned()).into_iter().chain(words).collect()
     }
 }
 
@@ -173,8 +160,8 @@ mod tests {
             "--quick --a x --b \"it's\" --names 'A set,B' --sensing estimated --out report"
         );
         assert_eq!(
-            options(&["--policies", "p", "--also", "mine=a b.yaml", "--also", "other=runs/3", "--beside", "Go2=go2"]),
-            "--policies p --also 'mine=a b.yaml' --also 'other=runs/3' --beside 'Go2=go2' --out report"
+            options(&["--policies", "p", "--also", "mine=a b.yaml", "--also", "other=runs/3"]),
+            "--policies p --also 'mine=a b.yaml' --also 'other=runs/3' --out report"
         );
     }
 }

@@ -10,17 +10,15 @@ use anyhow::Context;
 use args::{Args, MOST_NAME, label};
 use clap::Parser;
 use supple::scenario::Sensing;
-use supple::util::files::{self, Target};
+use supple::util::files::Target;
 use supple::util::progress::columns;
 use supple::util::terminal::{self, shell_word};
 use supple_evaluate::exam::{Exam, Part, page};
-use supple_evaluate::learning_curves::{self, LearningSet, Over};
+use supple_evaluate::learning_curves::{self, LearningSet};
 use supple_evaluate::measurement_store::MeasurementStore;
-use supple_evaluate::plot::png::Renderer;
 use supple_evaluate::policy_sets::PolicySets;
 use supple_evaluate::protocol::Protocol;
-use supple_evaluate::report::other_reports::OtherReport;
-use supple_evaluate::report::{CommandLine, Report, text};
+use supple_evaluate::report::{self, CommandLine, Report, text};
 use supple_evaluate::runner::{self, Settings};
 use supple_evaluate::study::Study;
 
@@ -48,11 +46,9 @@ fn run(args: &Args) -> anyhow::Result<()> {
     let policies = policies(args, &args.also)?;
     // E12 is about the two sets that are compared.
     let compared = self::policies(args, &[])?;
-    let other_reports =
-        args.beside.iter().map(|(name, folder)| OtherReport::read(name, folder)).collect::<Result<Vec<_>, _>>()?;
     let command = CommandLine { experiments: args.experiments.clone(), options: args.options() };
-    let curves = learning_curves::figures(&policies)?;
-    let mut report = Report { other_reports, curves, ..Report::new(&policies, name, command) };
+    let curves = learning_curves::figures(&learning_curves::of_policies(&policies)?);
+    let mut report = Report { curves, ..Report::new(&policies, name, command) };
     let on_sensors = report.sensing.notes.iter().filter(|_| args.sensing == Sensing::Estimated);
     policies.notes.iter().chain(on_sensors).for_each(|note| terminal::note(format_args!("note: {note}")));
     prepare(args)?;
@@ -67,13 +63,9 @@ fn run(args: &Args) -> anyhow::Result<()> {
     failed.iter().for_each(|error| terminal::note(format_args!("warning: {}", terminal::complaint(error))));
     let claims = text::claims(&report, columns(std::io::stdout()));
     terminal::print(format_args!("{claims}\n{}\n", args.out.join("report.html").display()))?;
-    match faults.split_last() {
-        None => Ok(()),
-        Some((last, others)) => {
-            others.iter().for_each(|fault| terminal::note(format_args!("error: {fault}")));
-            anyhow::bail!("{last}")
-        }
-    }
+    let Some((last, others)) = faults.split_last() else { return Ok(()) };
+    others.iter().for_each(|fault| terminal::note(format_args!("error: {fault}")));
+    anyhow::bail!("{last}")
 }
 
 /// Makes the folder of the report and starts the threads.
@@ -88,13 +80,9 @@ fn prepare(args: &Args) -> anyhow::Result<()> {
 fn draw_curves(args: &Args) -> anyhow::Result<()> {
     let sets = args.curves.iter().map(|path| LearningSet::read(&label(path), path)).collect::<Result<Vec<_>, _>>()?;
     std::fs::create_dir_all(&args.out).with_context(|| format!("cannot create the folder {}", args.out.display()))?;
-    for (over, name) in Over::ALL {
-        let svg = learning_curves::draw(&sets, over);
-        let path = args.out.join(name);
-        let png = Renderer::default().png(&svg)?;
-        files::write_atomically(&path.with_extension("svg"), svg.as_bytes())?;
-        files::write_atomically(&path.with_extension("png"), &png)?;
-        terminal::print(format_args!("{}.png\n", path.display()))?;
+    for figure in learning_curves::figures(&sets) {
+        report::write_figure(&figure, &args.out)?;
+        terminal::print(format_args!("{}.png\n", args.out.join(figure.name).display()))?;
     }
     Ok(())
 }
@@ -123,15 +111,10 @@ fn examine(policy: &Path, args: &Args) -> anyhow::Result<()> {
     options.extend(["--out".to_owned(), shell_word(&args.out)]);
     let command = CommandLine { experiments: Vec::new(), options };
     page::save(&examination, film.as_ref(), &command.text(None), &args.out)?;
-    terminal::print(format_args!(
-        "{}\n{}\n",
-        page::text(&examination, columns(std::io::stdout())),
-        args.out.join("exam.html").display()
-    ))?;
-    match &examination.faults[..] {
-        [] => Ok(()),
-        faults => anyhow::bail!("{}", faults.join("\n")),
-    }
+    let scores = page::text(&examination, columns(std::io::stdout()));
+    terminal::print(format_args!("{scores}\n{}\n", args.out.join("exam.html").display()))?;
+    anyhow::ensure!(examination.faults.is_empty(), "{}", examination.faults.join("\n"));
+    Ok(())
 }
 
 /// Returns the protocol and its name in the report.
@@ -150,8 +133,7 @@ fn policies(args: &Args, also: &[(String, PathBuf)]) -> anyhow::Result<PolicySet
     let are_names = first != second && !first.is_empty() && !second.is_empty();
     anyhow::ensure!(are_names, "the sets are named {names:?}, expected two different names: give --names A,B");
     let further = args.also.iter().map(|(name, _)| ("--also", name));
-    let beside = args.beside.iter().map(|(name, _)| ("--beside", name));
-    for (flag, name) in names.iter().map(|name| ("--names", name)).chain(further).chain(beside) {
+    for (flag, name) in names.iter().map(|name| ("--names", name)).chain(further) {
         anyhow::ensure!(
             name.chars().count() <= MOST_NAME && !name.contains(char::is_control),
             "{flag}: the name {name:?} has {} characters, expected at most {MOST_NAME}, and no line end or other control \
@@ -168,10 +150,7 @@ fn policies(args: &Args, also: &[(String, PathBuf)]) -> anyhow::Result<PolicySet
             let pair = [(first.clone(), a.clone()), (second.clone(), b.clone())];
             PolicySets::from_paths(&[&pair[..], also].concat())?
         }
-        _ => match args.folder() {
-            Some(folder) => PolicySets::from_folder(&folder, &names, also)?,
-            None => PolicySets::from_shipped(&names, also)?,
-        },
+        _ => PolicySets::from_folder(args.folder().as_deref(), &names, also)?,
     };
     if let Some(joints) = args.joints {
         policies.set_losses(joints.into());

@@ -12,29 +12,29 @@ use supple_evaluate::runner::{self, Job, RunError, Update};
 const STEPS: f64 = 1000.0;
 
 /// Runs all jobs with a bar of what is left, and prints a line with the same after each of them.
-///
-/// # Errors
-/// A trial cannot be played, or the results cannot be written.
 pub fn run(jobs: &[Job]) -> Result<(), RunError> {
     let steps = |cost_s: f64| (STEPS * cost_s) as u64;
     let bar = progress(jobs.iter().map(|job| steps(job.work.cost_s)).sum());
     let left = AtomicU64::new(jobs.iter().map(|job| job.work.trials).sum());
     let start = Instant::now();
-    let show = |update: Update| match update {
-        Update::Begins => {}
-        Update::Played(job, work) => {
-            let left = left.fetch_sub(work.trials, Ordering::Relaxed) - work.trials;
-            bar.set_message(format!("{left} trials left: {}", job.name));
-            bar.inc(steps(work.cost_s));
+    let show = |update: Update| {
+        match update {
+            Update::Begins => {}
+            Update::Played(job, work) => {
+                let left = left.fetch_sub(work.trials, Ordering::Relaxed) - work.trials;
+                bar.set_message(format!("{left} trials left: {}", job.name));
+                bar.inc(steps(work.cost_s));
+            }
+            Update::Finished(job, took_s) => {
+                let ahead = ahead(&bar, left.load(Ordering::Relaxed), start);
+                let line = format!("{}: {} trials in {took_s:.1} s{ahead}", job.name, job.work.trials);
+                bar.suspend(|| terminal::note(line));
+            }
+            Update::Waits(other) => bar.suspend(|| waits(other)),
         }
-        Update::Finished(job, took_s) => {
-            let ahead = ahead(&bar, left.load(Ordering::Relaxed), start);
-            let line = format!("{}: {} trials in {took_s:.1} s{ahead}", job.name, job.work.trials);
-            bar.suspend(|| terminal::note(line));
-        }
-        Update::Waits(other) => bar.suspend(|| waits(other)),
+        Ok(())
     };
-    let done = runner::run(jobs, &|update| Ok(show(update)));
+    let done = runner::run(jobs, &show);
     bar.finish_and_clear();
     done
 }
