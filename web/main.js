@@ -8,7 +8,7 @@ import { Picture } from "./picture.js";
 
 /** The pairs of robots: a line about them, and policy and commanded compliance [m/s/N] of each. */
 const PAIRS = {
-  "soft and stiff": ["One policy twice: the left robot is told to yield, the right one is not.", [["real", 0.05], ["real", null]]],
+  "soft and stiff": ["One policy twice: the left robot is commanded to yield, the right one is not.", [["real", 0.05], ["real", null]]],
   "compliant and baseline": [
     "The paper's policies: the left one learned to yield, the right one to resist.", [["compliant", null], ["baseline", null]],
   ],
@@ -42,11 +42,11 @@ window.state = { robots, send, picture }; // For tests.
 // ---- what hands do
 
 const command = () => send("command", fractions().map((part, axis) => part * range[axis]));
-let told = "";
+let sent = "";
 const changed = () => {
   const now = String(fractions());
-  if (now !== told) command();
-  told = now;
+  if (now !== sent) command();
+  sent = now;
 };
 listenToKeys(changed);
 listenToStick($("stick"), "walk", changed);
@@ -129,10 +129,10 @@ function read() {
   const titles = robots.map(({ title }) => title);
   if (String(titles) !== named) {
     named = String(titles);
-    const untold = robots.every(({ compliance }) => compliance === null) ? "" : ", not told";
+    const free = robots.every(({ compliance }) => compliance === null) ? "" : ", not commanded to yield";
     document.querySelectorAll(".name").forEach((label, index) => {
       const { name, compliance } = robots[index];
-      label.textContent = name + (compliance === null ? untold : `, told to yield ${+compliance.toFixed(3)} m/s per newton`);
+      label.textContent = name + (compliance === null ? free : `, commanded to yield ${+compliance.toFixed(3)} m/s per newton`);
     });
     showCompliance($("compliance"), robots, (robot, compliance) => send("comply", { robot, compliance }));
   }

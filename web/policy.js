@@ -87,10 +87,10 @@ export class Controller {
   /** Joint targets [rad] for a command [m/s, m/s, rad/s] and a commanded compliance [m/s/N], null for the policy's own. */
   targets(state, command, compliance) {
     const { entries } = this.policy;
-    const told = compliance === null ? command : this.yielding(state.felt ?? [0, 0], command, compliance);
+    const asked = compliance === null ? command : this.yielding(state.felt ?? [0, 0], command, compliance);
     if (compliance === null) this.change = [0, 0];
     const frame = entries.map(({ quantity, axes }) => {
-      const numbers = QUANTITIES[quantity](state, told, this.target);
+      const numbers = QUANTITIES[quantity](state, asked, this.target);
       return axes ? axes.map((axis) => numbers[axis]) : numbers;
     });
     const depth = 1 + Math.max(...entries.flatMap(({ ages }) => ages));
@@ -112,7 +112,7 @@ export class Controller {
     const most = Math.max(LEAST_M_S, LARGEST_M_S - Math.hypot(own[0] * force[0], own[1] * force[1]));
     const over = Math.max(1, Math.hypot(...this.change) / most);
     this.change = this.change.map((change) => change / over);
-    const told = [0, 1].map((axis) => clamp(command[axis] + this.change[axis], Math.max(range[axis], Math.abs(command[axis]))));
-    return [...told, command[2]];
+    const asked = [0, 1].map((axis) => clamp(command[axis] + this.change[axis], Math.max(range[axis], Math.abs(command[axis]))));
+    return [...asked, command[2]];
   }
 }
