@@ -2,7 +2,7 @@
 
 An [`Experiment`] defines conditions, takes numbers from the trace of a trial, and reports them. [`runner`] plays the trials in
 parallel, each with a seed that does not depend on the policy, and [`measurement_store`] keeps their numbers, so that a finished
-experiment is not run again. [`section_content`] (claims with intervals, tables, figures) comes from the kept numbers alone,
+experiment is not run again. `section_content` (claims with intervals, tables, figures) comes from the kept numbers alone,
 and the [`report`] from it. `docs/experiments.md` defines every number in words.
 
 Tables and figures show every set of policies; claims and differences compare the first set with the second.

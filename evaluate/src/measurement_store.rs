@@ -91,7 +91,7 @@ impl MeasurementStore {
         if let Err(TryLockError::WouldBlock) = file.try_lock() { Ok(None) } else { hold(file, &folder).map(Some) }
     }
 
-    /// Locks the report like [`MeasurementStore::lock_experiment`].
+    /// Locks the report: waits until no other process writes it. `waits` receives a description of that process.
     ///
     /// # Errors
     /// The folder or its lock file cannot be created.
