@@ -31,7 +31,7 @@ pub enum RunError {
     /// A scenario file inside the program is invalid.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// Whoever receives the progress wants no more trials.
+    /// The receiver of the progress asks for no more trials.
     #[error("stopped before all trials were played")]
     Stopped,
 }
