@@ -194,7 +194,7 @@ impl Beginnings {
         agent: &Agent,
         with_felt_forces: bool,
     ) -> mujoco::Result<Trace> {
-        let first_s = script.disturbances.iter().map(|it| it.beginning().1).fold(f64::INFINITY, f64::min);
+        let first_s = script.undisturbed_s();
         if script.goal.is_some() || !(first_s > 0.0 && first_s < script.duration_s) {
             return Ok(playback.trace());
         }
@@ -312,21 +312,27 @@ mod tests {
     fn trials_that_share_their_beginning_give_the_same_numbers() {
         let protocol = Protocol::quick().unwrap();
         let mut agent = supple::policy::shipped::find("baseline").unwrap();
-        let experiments: [(&dyn Experiment, _); 3] =
-            [(&protocol.push_grid, None), (&protocol.leash, Some(0.03)), (&protocol.calibration, None)];
-        for (experiment, compliance) in experiments {
+        let mut shared_by = Vec::new();
+        for experiment in protocol.experiments() {
+            let name = experiment.info().name;
             let beginnings = Beginnings::default();
-            let mut conditions = experiment.conditions().unwrap();
-            conditions.truncate(3);
-            agent.commanded_compliance = compliance;
-            for (seed, condition) in conditions.iter().enumerate() {
+            agent.commanded_compliance = (name == "leash").then_some(0.03);
+            // Balls and blocks are slow, and nothing comes at a time there.
+            let conditions = experiment.conditions().unwrap();
+            let timed = |it: &&Condition| !matches!(it.scenario, Scenario::BallPit(_) | Scenario::Rubble(_));
+            for (seed, condition) in conditions.iter().filter(timed).take(2).enumerate() {
                 let play = |beginnings| play(experiment, condition, seed as u64, &agent, Sensing::True, beginnings);
                 let [alone, shared] = [None, Some(&beginnings)].map(|shared| play(shared).unwrap());
-                assert_eq!(alone, shared, "{}: {}", experiment.info().name, condition.label);
+                assert_eq!(alone, shared, "{name}: {}", condition.label);
             }
-            let shared = beginnings.0.into_inner().unwrap();
-            assert!(shared.iter().any(|(_, beginning)| matches!(beginning.get(), Some(Some(_)))));
+            let all = beginnings.0.into_inner().unwrap();
+            shared_by.extend(all.iter().any(|(_, it)| matches!(it.get(), Some(Some(_)))).then_some(name));
         }
+        for name in ["push-grid", "leash", "calibration"] {
+            assert!(shared_by.contains(&name), "{name}: {shared_by:?}");
+        }
+        // A rig carries its load from the start.
+        assert!(!shared_by.contains(&"pulley") && !shared_by.contains(&"pendulum"), "{shared_by:?}");
     }
 
     #[test]

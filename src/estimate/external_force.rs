@@ -183,7 +183,7 @@ pub struct ForceObserver {
     memory: Memory,
 }
 
-/// What a [`ForceObserver`] remembers between two readings.
+/// The memory of a [`ForceObserver`] between two readings.
 #[derive(Debug, Clone)]
 pub(crate) struct Memory {
     before: Option<ForceReading>,
@@ -257,7 +257,7 @@ impl ForceObserver {
         self.memory = Memory::default();
     }
 
-    /// What is remembered, for an observer of the same robot that goes on.
+    /// Returns the memory, for an observer of the same robot to go on from.
     pub(crate) fn memory(&mut self) -> &mut Memory {
         &mut self.memory
     }

@@ -66,6 +66,13 @@ impl Script {
         self.disturbances.iter().find_map(|it| if let Disturbance::Pull(pull) = it { Some(pull) } else { None })
     }
 
+    /// Returns the time until which nothing disturbs the robot or the scene \[s\]; infinite without disturbances. A rig carries its
+    /// load from the start.
+    pub fn undisturbed_s(&self) -> f64 {
+        let from_s = |it: &Disturbance| if let Disturbance::Rig(_) = it { 0.0 } else { it.beginning().1 };
+        self.disturbances.iter().map(from_s).fold(f64::INFINITY, f64::min)
+    }
+
     /// Describes the first disturbance that would come after the script's end, if any.
     pub fn too_late(&self) -> Option<String> {
         let mut beginnings = self.disturbances.iter().map(Disturbance::beginning);

@@ -210,9 +210,8 @@ impl<'a> Playback<'a> {
     /// # Errors
     /// MuJoCo fails in a state of the beginning.
     pub fn trace_after(mut self, beginning: &Beginning) -> mujoco::Result<Trace> {
-        let first_s = self.script.disturbances.iter().map(|it| it.beginning().1).fold(f64::INFINITY, f64::min);
         // One step early, so that rounding does not matter.
-        let steps = (first_s / self.sim().policy_period_s() - 1.0).max(0.0) as usize;
+        let steps = (self.script.undisturbed_s() / self.sim().policy_period_s() - 1.0).max(0.0) as usize;
         let steps = steps.min(beginning.moments.len().saturating_sub(1));
         if steps == 0 {
             return Ok(self.trace());

@@ -154,17 +154,8 @@ impl Trainer {
             curriculum,
             environments: Vec::new(),
         };
-        Ok(Trainer {
-            run,
-            shared,
-            mirror,
-            threads,
-            ranks,
-            learner,
-            environments,
-            doubled: Samples::default(),
-            faults: Vec::new(),
-        })
+        let (doubled, faults) = Default::default();
+        Ok(Trainer { run, shared, mirror, threads, ranks, learner, environments, doubled, faults })
     }
 
     /// Resumes from a checkpoint.
@@ -226,17 +217,8 @@ impl Trainer {
         (run.git_revision, run.robot_sha256) = (provenance::git_revision().to_owned(), robot.sha256().to_owned());
         run.mujoco_version = provenance::mujoco_version().to_owned();
         let learner = learner(&run.config.ppo, state, threads, Arc::clone(&ranks))?;
-        Ok(Trainer {
-            run,
-            shared,
-            mirror,
-            threads,
-            ranks,
-            learner,
-            environments,
-            doubled: Samples::default(),
-            faults: Vec::new(),
-        })
+        let (doubled, faults) = Default::default();
+        Ok(Trainer { run, shared, mirror, threads, ranks, learner, environments, doubled, faults })
     }
 
     /// Runs one iteration: collects a batch and updates the networks with it.
