@@ -69,7 +69,7 @@ impl FullSticks {
         FullSticks([range.forward_m_s, range.left_m_s, range.yaw_rad_s])
     }
 
-    /// Checks that a velocity (forward, left, yaw) is within the range, but for rounding.
+    /// Checks that a velocity (forward, left, yaw) is within the range, up to a rounding error.
     ///
     /// # Errors
     /// Says which part of it is beyond.
