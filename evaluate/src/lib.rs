@@ -39,7 +39,7 @@ use trial::Trial;
 /// The name, title, measured quantities and number of trials of an experiment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ExperimentInfo {
-    /// The number in the report: `E0` to `E15`.
+    /// The number in the report: `E0` to `E17`.
     pub id: &'static str,
     /// A number that no other experiment has; it makes the seeds of the trials differ from those of other experiments.
     pub number: u32,

@@ -16,6 +16,7 @@ Of two robots of one shape, let the second be λ times as tall and μ times as h
 | `terrain.rough_m`, `terrain.boxes_m`, `held_feet.height_m` | λ |
 | `pulls.force_n`, `held_feet.force_n`, `randomisation.felt_force_error_sd_n` | μ |
 | `held_feet.stiffness_n_per_m` | μ / λ |
+| `reward.reference_m_s_per_n` | 1 / μ |
 
 Physics may have to be faster for a light robot, whose joints feel less inertia than their gains can be held at: a joint of inertia I
 under a PD law is stable in MuJoCo's steps of length h if 2 K_d h + K_p h² < 4 I. The rate is doubled until it is, with a reserve.
@@ -76,6 +77,7 @@ impl Config {
         simulation.kd_n_m_s_per_rad =
             simulation.kd_n_m_s_per_rad.map(|gain| rounded(gain * (mass * height * height.sqrt())));
         scale(&mut config.reward.energy, 1.0 / mass);
+        config.reward.reference_m_s_per_n.iter_mut().flatten().for_each(|value| scale(value, 1.0 / mass));
         scale(&mut config.reward.torque, (mass * height).powi(-2));
         scale(&mut config.reward.height_sharpness, height.powi(-2));
         scale(&mut config.reward.foot_clearance, height.powi(-2));

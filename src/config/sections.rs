@@ -325,6 +325,10 @@ pub struct Reward {
     /// Desired peak height of a foot's swing, `p_des` \[m\].
     #[garde(custom(positive(10.0)))]
     pub foot_height_m: f64,
+    /// The lowest and the highest compliance of a [reference](crate::task::compliance::follow), which is drawn for each episode,
+    /// commanded to the policy, and followed by `r_lin` in place of the commanded velocity [m/s/N]. `None`: there is no reference.
+    #[garde(inner(custom(low_and_high)))]
+    pub reference_m_s_per_n: Option<[f64; 2]>,
 }
 
 /// Section IV-D, and what else differs between a simulated and a real robot.

@@ -74,6 +74,8 @@ quantities! {
     LastTarget: Joints, "target", "rad", Policy;
     /// Commanded velocity: forward, left, yaw rate.
     Command: Command, "commanded", "m/s, m/s, rad/s", Policy;
+    /// Commanded compliance; zero without one.
+    CommandedCompliance: Scalar, "commanded compliance", "m/s/N", Policy;
     /// Clock sin 2π(f·t + phase), for each of `phases`.
     ClockSin: Clock, "sine of a clock", "1", Policy;
     /// Clock cos 2π(f·t + phase), for each of `phases`.
@@ -206,6 +208,7 @@ impl Quantity {
                 vector([forward, left, 0.0].map(|force| force.clamp(-MOST_FELT_N, MOST_FELT_N)));
             }
             Quantity::Command => vector([now.command.forward, now.command.left, now.command.yaw]),
+            Quantity::CommandedCompliance => out[0] = now.command.compliance.unwrap_or_default(),
             Quantity::JointAngles => reorder(&state.joint_angles, order, out),
             Quantity::JointOffsets => {
                 let offsets = std::array::from_fn(|joint| state.joint_angles[joint] - now.nominal[joint]);

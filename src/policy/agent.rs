@@ -4,7 +4,7 @@ use std::borrow::Borrow;
 use std::path::Path;
 use std::sync::Arc;
 
-use super::compliance::{ComplianceError, CompliantController, PolicyCalibration};
+use super::compliance::{ComplianceError, CompliantController, PolicyCalibration, check_range};
 use super::controller::Controller;
 use super::external;
 use super::file::Policy;
@@ -126,16 +126,18 @@ impl Agent {
         self.compliant(Box::new(PolicyController::new(SharedAgent(Arc::clone(self)))))
     }
 
-    /// Wraps a calibrated policy in the outer loop that makes its compliance a command.
+    /// Wraps a calibrated policy in the outer loop that makes its compliance a command, unless it observes that command itself.
     fn compliant<'a>(&self, policy: Box<dyn Controller + 'a>) -> Box<dyn Controller + 'a> {
         match &self.calibration {
+            _ if self.config.reward.reference_m_s_per_n.is_some() => policy,
             None => policy,
             Some(calibration) => Box::new(CompliantController::new(policy, calibration, &self.config)),
         }
     }
 
     /// Returns the compliance to command [m/s/N]: the one that is required (by an experiment, or by a session that goes on),
-    /// else the one behind the policy's name, else the scenario's; `None` leaves the policy its own.
+    /// else the one behind the policy's name, else the scenario's, else the least that it was trained with; `None` leaves the
+    /// policy its own.
     ///
     /// # Errors
     /// The policy has not been calibrated, or the compliance is out of its range.
@@ -144,8 +146,11 @@ impl Agent {
         required: Option<f64>,
         scenario: Option<f64>,
     ) -> Result<Option<f64>, ComplianceError> {
-        let Some(compliance) = required.or(self.commanded_compliance).or(scenario) else { return Ok(None) };
-        self.calibration.as_ref().ok_or(ComplianceError::NotCalibrated)?.check(compliance)?;
+        let trained = self.config.reward.reference_m_s_per_n;
+        let asked = required.or(self.commanded_compliance).or(scenario).or(trained.map(|[least, _]| least));
+        let Some(compliance) = asked else { return Ok(None) };
+        let range = trained.or(self.calibration.as_ref().map(PolicyCalibration::range));
+        check_range(range.ok_or(ComplianceError::NotCalibrated)?, compliance)?;
         Ok(Some(compliance))
     }
 

@@ -178,10 +178,13 @@ impl PolicyCalibration {
     /// # Errors
     /// The compliance is out of the policy's range.
     pub fn check(&self, compliance: f64) -> Result<(), ComplianceError> {
-        let [low, high] = self.range();
-        let within = (low..=high).contains(&compliance);
-        if within { Ok(()) } else { Err(ComplianceError::OutOfReach { found: compliance, low, high }) }
+        check_range(self.range(), compliance)
     }
+}
+
+/// Checks that a commanded compliance [m/s/N] is in a range.
+pub(super) fn check_range([low, high]: [f64; 2], found: f64) -> Result<(), ComplianceError> {
+    if (low..=high).contains(&found) { Ok(()) } else { Err(ComplianceError::OutOfReach { found, low, high }) }
 }
 
 /// The virtual mass on raw observations, for programs that run the policy themselves: it changes the command in them.

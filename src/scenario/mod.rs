@@ -32,7 +32,7 @@ pub use senses::{Sensing, SensingError};
 ///
 /// let mut script = Scenario::named("walk", "{duration_s: 3.0}")?.script(0, &Config::load("compliant")?)?;
 /// assert!(script.disturbances.is_empty());
-/// let push = Push { at_s: 1.0, linear: [0.0, 0.8], angular: [0.0; 3] }; // 0.8 m/s to the left
+/// let push = Push { at_s: 1.0, linear: [0.0, 0.8], ..Push::default() }; // 0.8 m/s to the left
 /// script.disturbances.push(Disturbance::Push(push));
 /// assert_eq!(script.too_late(), None);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
@@ -45,6 +45,8 @@ pub struct Script {
     pub conditions: Conditions,
     /// The command, from start to end.
     pub command: Command,
+    /// Rate at which the command leads the robot back to where commands alone would have led it \[1/s\]; 0 for none.
+    pub set_point_per_s: f64,
     /// Length of the playback \[s\].
     pub duration_s: f64,
     /// Time that is still played after a fall \[s\].
@@ -67,8 +69,11 @@ impl Script {
     }
 
     /// Returns the time until which nothing disturbs the robot or the scene \[s\]; infinite without disturbances. A rig carries its
-    /// load from the start.
+    /// load from the start, and a set point acts from the start.
     pub fn undisturbed_s(&self) -> f64 {
+        if self.set_point_per_s > 0.0 {
+            return 0.0;
+        }
         let from_s = |it: &Disturbance| if let Disturbance::Rig(_) = it { 0.0 } else { it.beginning().1 };
         self.disturbances.iter().map(from_s).fold(f64::INFINITY, f64::min)
     }

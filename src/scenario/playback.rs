@@ -1,6 +1,8 @@
 //! Playback: plays a script with a controller, one policy step at a time. Start with `Playback::try_step`. Commands, pushes, pulls
 //! and resets during a playback serve robots that are driven live; they take effect with the next step.
 
+use nalgebra::{Rotation2, Vector2};
+
 use super::force_sense::{ForceMemory, ForceSense};
 use super::senses::Senses;
 use super::{Goal, Script, Sensing, SensingError};
@@ -68,6 +70,8 @@ pub struct Playback<'a> {
     world: World,
     /// The present command; starts as the script's.
     command: Command,
+    /// Where commands alone would have led the robot, world frame \[m\]; `None` before the first step.
+    set_point: Option<Vector2<f64>>,
     /// True if the controller has to start from the current state in the next step.
     controller_must_begin: bool,
     /// The sensors; `None` if the controller sees the true state.
@@ -106,6 +110,7 @@ impl<'a> Playback<'a> {
             length: config.simulation.policy_steps(script.duration_s),
             controller,
             command: script.command,
+            set_point: None,
             controller_must_begin: true,
             senses: None,
             force_sense: None,
@@ -238,9 +243,10 @@ impl<'a> Playback<'a> {
 
     /// Plays one policy step: act, step the world, feel, record.
     fn try_step(&mut self, events: &mut Vec<Event>) -> Result<Frame, PlaybackFault> {
-        let target = self.act()?;
+        let command = self.led_back();
+        let target = self.act(&command)?;
         let (senses, force_sense) = (&mut self.senses, &mut self.force_sense);
-        let mut step = self.world.step(&target, &self.command, |data, parts, torques| {
+        let mut step = self.world.step(&target, &command, |data, parts, torques| {
             if let Some(senses) = senses {
                 senses.read(data, parts);
             }
@@ -256,15 +262,35 @@ impl<'a> Playback<'a> {
         self.look_for_fall(step.summary.fall, events);
         self.look_for_goal(events);
         self.feel(&step);
-        let frame = self.record(target, step);
+        let frame = self.record(target, command, step);
         if self.clock_is_held {
             self.world.rewind_clock();
         }
         Ok(frame)
     }
 
+    /// Moves the set point by the command, and returns the command that also leads the robot back to it.
+    fn led_back(&mut self) -> Command {
+        let (state, rate) = (self.world.state(), self.script.set_point_per_s);
+        if rate == 0.0 {
+            return self.command;
+        }
+        let (at, heading) = (state.position.xy(), Rotation2::new(state.roll_pitch_yaw().2));
+        let command = Vector2::new(self.command.forward, self.command.left);
+        let point = self.set_point.unwrap_or(at) + heading * command * self.sim().policy_period_s();
+        self.set_point = Some(point);
+        let back = command + heading.inverse() * (point - at) * rate;
+        let range = &self.config.command;
+        let within = |value: f64, most: f64, asked: f64| value.clamp(-most.max(asked.abs()), most.max(asked.abs()));
+        Command {
+            forward: within(back.x, range.forward_m_s, command.x),
+            left: within(back.y, range.left_m_s, command.y),
+            ..self.command
+        }
+    }
+
     /// Returns the controller's joint targets \[rad\], which are finite.
-    fn act(&mut self) -> Result<Joints, PlaybackFault> {
+    fn act(&mut self, command: &Command) -> Result<Joints, PlaybackFault> {
         let state = self.world.state();
         let estimated =
             self.senses.as_ref().map(|senses| RobotState { felt_force: state.felt_force, ..senses.state() });
@@ -272,7 +298,7 @@ impl<'a> Playback<'a> {
         if std::mem::take(&mut self.controller_must_begin) {
             self.controller.begin(known);
         }
-        let target = self.controller.joint_targets(known, &self.command);
+        let target = self.controller.joint_targets(known, command);
         if let Some(joint) = target.iter().position(|target| !target.is_finite()) {
             return Err(PlaybackFault::Policy { joint, target: target[joint] });
         }
@@ -295,7 +321,7 @@ impl<'a> Playback<'a> {
     }
 
     /// Builds the frame of the step that has just been played.
-    fn record(&self, target: Joints, step: WorldStep) -> Frame {
+    fn record(&self, target: Joints, command: Command, step: WorldStep) -> Frame {
         let WorldStep { summary, terms, forces, rope, spring, mark, .. } = step;
         let (time_s, state, data) = (self.world.time_s(), self.world.state(), self.sim().data());
         let (roll, pitch, yaw) = state.roll_pitch_yaw();
@@ -303,7 +329,7 @@ impl<'a> Playback<'a> {
             time_s,
             bodies: if self.with_bodies { poses(data) } else { Vec::new() },
             goal: self.goal_from.map(|body| pose(data, body)),
-            command: self.command,
+            command,
             velocity: state.velocity_in_base.into(),
             velocity_in_heading: state.velocity_in_heading().into(),
             position: state.position.into(),
@@ -400,7 +426,7 @@ impl<'a> Playback<'a> {
     pub fn push(&mut self, linear: [f64; 2]) {
         let at_s = self.world.time_s();
         // A push needs no part of the scene.
-        let _ = self.world.disturb(Disturbance::Push(Push { at_s, linear, angular: [0.0; 3] }));
+        let _ = self.world.disturb(Disturbance::Push(Push { at_s, linear, ..Push::default() }));
     }
 
     /// Pulls the trunk with a constant force, forward and left in the heading frame \[N\]; `None` ends the pull.
@@ -451,6 +477,7 @@ impl<'a> Playback<'a> {
             force_sense.reset(self.world.sim(), &self.script.conditions);
         }
         (self.felt, self.true_force) = Default::default();
+        self.set_point = None;
         self.fallen_since = None;
         self.failed = false;
         self.last_disturbance = None;

@@ -324,7 +324,7 @@ mod tests {
     #[test]
     fn a_push_is_felt_by_the_imu() {
         let (mut script, config) = walk(1.0);
-        let push = crate::world::Push { at_s: 0.5, linear: [0.0, 0.6], angular: [0.0; 3] };
+        let push = crate::world::Push { at_s: 0.5, linear: [0.0, 0.6], ..Default::default() };
         script.disturbances = vec![crate::world::Disturbance::Push(push)];
         let (_, trace) = play(&script, &config, 3);
         // At the end of the step that begins with the push.

@@ -69,9 +69,36 @@ impl VirtualMass {
     }
 }
 
+/// Largest velocity of a reference \[m/s\].
+const MOST_REFERENCE_M_S: f64 = 1.5;
+
+/// Moves the reference of a robot of `mass_kg` for a policy step: `m v̇_ref = (v* − v_ref) / c + F`, forward and left, heading frame.
+/// Without a commanded compliance c it is the command.
+pub fn follow(reference: &mut [f64; 2], command: &Command, force: [f64; 2], mass_kg: f64, period_s: f64) {
+    let c = command.compliance.unwrap_or_default();
+    for (axis, goal) in [command.forward, command.left].into_iter().enumerate() {
+        let end = goal + c * force[axis];
+        reference[axis] = end + (reference[axis] - end) * (-period_s / (mass_kg * c)).exp();
+    }
+    *reference = Vector2::from(*reference).cap_magnitude(MOST_REFERENCE_M_S).into();
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn reference_decays_with_m_c_and_ends_at_c_f() {
+        let soft = Command { compliance: Some(0.03), ..Command::velocity(0.5, 0.0, 0.0) };
+        let mut reference = [0.5, 0.0];
+        (0..600).for_each(|_| follow(&mut reference, &soft, [0.0, 10.0], MASS_KG, STEP_S));
+        assert!((reference[0] - 0.5).abs() < 1e-9 && (reference[1] - 0.3).abs() < 1e-9, "{reference:?}");
+        // 12.5 kg · 0.03 m/s/N = 0.375 s, which the push takes to fall to 1/e.
+        (0..22).for_each(|_| follow(&mut reference, &soft, [0.0; 2], MASS_KG, 0.375 / 22.0));
+        assert!((reference[1] - 0.3 * (-1.0_f64).exp()).abs() < 1e-9, "{reference:?}");
+        follow(&mut reference, &Command::velocity(0.2, 0.1, 0.0), [50.0; 2], MASS_KG, STEP_S);
+        assert_eq!(reference, [0.2, 0.1]);
+    }
 
     const MASS_KG: f64 = 12.5;
     const STEP_S: f64 = 1.0 / 60.0;

@@ -41,7 +41,7 @@ impl EpisodePlan {
     pub fn draw(config: &Config, curriculum: Curriculum, rng: &mut impl Rng) -> Self {
         let mut within = |range: f64| range * rng.random_range(-1.0..=1.0);
         let open = curriculum.command_fraction;
-        let command = Command::velocity(
+        let mut command = Command::velocity(
             within(config.command.forward_m_s * open),
             within(config.command.left_m_s * open),
             within(config.command.yaw_rad_s * open),
@@ -51,6 +51,7 @@ impl EpisodePlan {
             at_s: Stages::new(episode, &config.simulation).recovery_start as f64 * config.simulation.policy_period_s(),
             linear: std::array::from_fn(|_| within(episode.push_speed_m_s)),
             angular: std::array::from_fn(|_| within(episode.push_rate_rad_s)),
+            for_s: 0.0,
         };
         let slope = episode.slope * rng.random_range(0.0..=1.0);
         let uphill = rng.random_range(-std::f64::consts::PI..=std::f64::consts::PI);
@@ -77,6 +78,9 @@ impl EpisodePlan {
         let push = is_pushed.then_some(Disturbance::Push(push));
         let pulls = pulls.into_iter().map(Disturbance::Pull);
         let disturbances = push.into_iter().chain(pulls).chain(holds.into_iter().map(Disturbance::Hold)).collect();
+        if let Some([low, high]) = config.reward.reference_m_s_per_n {
+            command.compliance = Some(rng.random_range(low..=high));
+        }
         EpisodePlan { command, conditions, is_pushed, disturbances, dynamics, imu }
     }
 

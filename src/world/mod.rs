@@ -26,8 +26,8 @@ use crate::observation::Command;
 use crate::robot::{JOINTS, Joints, LEGS, RobotState};
 use crate::sim::{Conditions, Parts, Scene, Sim, SimState, StepForces, StepSummary};
 use crate::task::reward::{Landings, RewardInput};
-use crate::task::{SwingTracker, Terms};
-use disturbance::{Acting, Effects, PullFrame, StepTime};
+use crate::task::{SwingTracker, Terms, compliance};
+use disturbance::{Acting, Effects, StepTime};
 use meter::StepMeter;
 
 /// Time for which a push is drawn \[s\].
@@ -62,6 +62,8 @@ pub struct WorldState {
     disturbances: Vec<Acting>,
     swings: SwingTracker,
     targets: [Joints; 3],
+    #[serde(default)]
+    reference: [f64; 2],
 }
 
 /// A simulated robot with everything that disturbs it.
@@ -80,6 +82,8 @@ pub struct World {
     /// Joint targets of this step and of the two before \[rad\].
     targets: [Joints; 3],
     swings: SwingTracker,
+    /// Velocity of the [reference](compliance::follow), if the reward follows one, forward and left, heading frame [m/s].
+    reference: [f64; 2],
 }
 
 impl World {
@@ -100,6 +104,7 @@ impl World {
             state: RobotState::default(),
             targets: [[0.0; JOINTS]; 3],
             swings: SwingTracker::default(),
+            reference: [0.0; 2],
         })
     }
 
@@ -155,6 +160,7 @@ impl World {
         self.state = self.sim.state();
         self.targets = [*target; 3];
         self.swings = SwingTracker::new(&self.state.feet, self.reward.foot_height_m);
+        self.reference = [0.0; 2];
         self.last_push = None;
     }
 
@@ -170,7 +176,7 @@ impl World {
     /// Pulls the trunk by hand from the next step on, forward and left in the heading frame \[N\]; `None` lets go.
     pub fn pull_by_hand(&mut self, force: Option<[f64; 2]>) {
         let hand = self.disturbances.iter_mut().find_map(|it| match it {
-            Acting::Pull(pull, _) if pull.frame == PullFrame::Heading => Some(pull),
+            Acting::Pull(pull, _) if pull.is_by_hand() => Some(pull),
             _ => None,
         });
         match (hand, force) {
@@ -181,8 +187,8 @@ impl World {
         }
     }
 
-    /// Runs one policy step towards joint targets \[rad\]: disturbs, simulates, measures. `command` is what the robot is
-    /// paid for; `sensors` is called after each physics step, with the torques in it [N·m].
+    /// Runs one policy step towards joint targets \[rad\]: disturbs, simulates, measures. `command`, or the reference that
+    /// follows from it, is what the robot is paid for; `sensors` is called after each physics step, with the torques in it [N·m].
     ///
     /// # Errors
     /// A target is not finite, or MuJoCo fails; then begin anew.
@@ -220,7 +226,12 @@ impl World {
         // What a perfect observer of forces would find.
         let felt = self.state.heading().inverse() * forces.trunk;
         self.state.felt_force = Some([felt.x, felt.y]);
-        let terms = Terms::new(&self.reward_input(&before, command, (&summary, &landings, &forces)));
+        let mut paid = *command;
+        if self.reward.reference_m_s_per_n.is_some() {
+            compliance::follow(&mut self.reference, command, [felt.x, felt.y], self.sim.robot().mass_kg, at.period_s);
+            [paid.forward, paid.left] = self.reference;
+        }
+        let terms = Terms::new(&self.reward_input(&before, &paid, (&summary, &landings, &forces)));
         Ok(WorldStep { summary, terms, landings, forces, rope, spring, mark, events })
     }
 
@@ -356,6 +367,7 @@ impl World {
             disturbances: self.disturbances.clone(),
             swings: self.swings,
             targets: self.targets,
+            reference: self.reference,
         }
     }
 
@@ -385,6 +397,7 @@ impl World {
         self.sim.restore(&state.sim)?;
         self.disturbances.clone_from(&state.disturbances);
         (self.steps, self.swings, self.targets) = (state.steps, state.swings, state.targets);
+        self.reference = state.reference;
         (self.state, self.last_push) = (self.sim.state(), None);
         Ok(())
     }

@@ -58,7 +58,7 @@ fn true_force_is_the_sum_of_what_acts() {
 #[test]
 fn restored_world_goes_on_with_the_same_bits() {
     let pull = Pull { profile: Profile::Sine { frequency_hz: 3.0 }, ..Pull::constant([0.05, 0.4], [20.0, 5.0]) };
-    let push = Push { at_s: 0.2, linear: [0.0, 0.4], angular: [0.0; 3] };
+    let push = Push { at_s: 0.2, linear: [0.0, 0.4], ..Push::default() };
     let (mut world, pose) = standing([Disturbance::Pull(pull), Disturbance::Push(push)]);
     (0..10).for_each(|_| drop(step(&mut world, &pose)));
     let saved = serde_json::to_string(&world.save()).unwrap();

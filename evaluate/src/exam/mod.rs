@@ -1,4 +1,5 @@
-/*! The examination of one policy: the percentage of trials that it passes in each discipline, beside the shipped references.
+/*! The examination of one policy: the percentage of trials that it passes in each discipline, and [what it measures](measures),
+beside the shipped references.
 
 Each [`Discipline`] is made of experiments of the protocol `configs/evaluation/exam.yaml` and states what a trial must show to be passed.
 The trials are those of the experiments, with the same seeds for the policy and the references, and are kept in the same
@@ -7,6 +8,7 @@ is random in an undisturbed walk on the true state, so that there is one for eac
 */
 
 pub mod film;
+pub mod measures;
 pub mod page;
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -21,6 +23,7 @@ use crate::results::{PolicyResult, Results};
 use crate::runner::{self, Measurement, ON_SENSORS, RunError};
 use crate::trial::{Sample, TrialEnd};
 use crate::{Condition, Experiment};
+use measures::{MEASURES, Measured};
 use supple::estimate::contact::{ContactNetwork, RATE_HZ};
 use supple::robot::JointLosses;
 use supple::scenario::Sensing;
@@ -200,6 +203,8 @@ pub struct Examination {
     pub training: Vec<Training>,
     /// The grades in the order of the disciplines.
     pub grades: Vec<Grade>,
+    /// The numbers in the order of the measures.
+    pub measures: Vec<Measured>,
     /// Notes about the policies, and about what was not played.
     pub notes: Vec<String>,
     /// The faults in the trials, which count as not passed.
@@ -272,8 +277,10 @@ impl Exam {
 
     /// Returns what is played: experiments with the policies and the state they act on, each once.
     pub fn parts(&self) -> Vec<Part<'_>> {
-        let parts = DISCIPLINES.iter().flat_map(|discipline| self.playable(discipline));
-        let each: BTreeMap<_, _> = parts.map(|(name, way, _)| ((*name, *way), self.part(name, *way))).collect();
+        let parts =
+            DISCIPLINES.iter().flat_map(|discipline| self.playable(discipline)).map(|(name, way, _)| (*name, *way));
+        let parts = parts.chain(MEASURES.iter().map(|measure| (measure.experiment, Nominal)));
+        let each: BTreeMap<_, _> = parts.map(|(name, way)| ((name, way), self.part(name, way))).collect();
         each.into_values().collect()
     }
 
@@ -312,8 +319,14 @@ impl Exam {
             }
             grades.push(Grade { discipline: discipline.name, scores });
         }
+        let mut measures = Vec::new();
+        for measure in MEASURES {
+            let Part { experiment, policies, sensing, .. } = self.part(measure.experiment, Nominal);
+            let found = runner::finished(experiment, policies, store, sensing)?;
+            measures.extend(found.map(|Measurement { results, .. }| measure.means(&results)));
+        }
         let (training, notes) = (self.nominal.training(), self.notes.clone());
-        Ok(Examination { names, training, grades, notes, faults: faults.into_iter().collect() })
+        Ok(Examination { names, training, grades, measures, notes, faults: faults.into_iter().collect() })
     }
 }
 
@@ -386,10 +399,10 @@ mod tests {
         assert_eq!(exam.nominal.names(), ["mine", "go2/compliant", "go2/baseline"]);
         let seeds: Vec<u64> = exam.nominal.members().map(|(_, member)| member.seed).collect();
         assert_eq!(seeds, [1, 1, 1]);
-        // Eight on the true state, three on sensors, three with losses.
+        // Eight and five more for the numbers on the true state, three on sensors, three with losses.
         let parts = exam.parts();
         let (sensors, all) = (parts.iter().filter(|part| part.sensing == Sensing::Estimated).count(), parts.len());
-        assert_eq!((sensors, all), (3, 14));
+        assert_eq!((sensors, all), (3, 19));
         // Nothing is random in a walk on the true state, without or with losses; on sensors there is noise.
         let walks = parts.iter().filter(|part| part.experiment.info().name == "walk");
         let trials: Vec<_> = walks.map(|part| (part.sensing, part.experiment.info().trials)).collect();
@@ -405,7 +418,7 @@ mod tests {
         std::fs::copy(repository.join("tests/fixtures/onnx/rsl_rl.onnx"), network).unwrap();
         let exam = Exam::new("mine", &policy, Protocol::exam(None).unwrap()).unwrap();
         let parts = exam.parts();
-        assert!(parts.len() == 11 && parts.iter().all(|part| part.sensing == Sensing::True));
+        assert!(parts.len() == 16 && parts.iter().all(|part| part.sensing == Sensing::True));
         let examination = exam.grade(&MeasurementStore::new(folder.path())).unwrap();
         let words = "no policy is graded on sensors: the physics of mine run at 200 Hz, the contact network at 240 Hz";
         assert!(examination.notes.iter().any(|note| note == words), "{:?}", examination.notes);

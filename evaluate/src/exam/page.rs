@@ -5,6 +5,7 @@ use std::path::Path;
 use maud::{Markup, PreEscaped, html};
 
 use super::film::Film;
+use super::measures::Measured;
 use super::{DISCIPLINES, Examination, Grade, Score};
 use crate::plot::svg::{Anchor, Stroke, Svg, Text};
 use crate::plot::{GREY, INK, LARGE, PALE, SMALL, WIDTH, colour, shortened};
@@ -46,6 +47,21 @@ pub fn score_text(score: Score) -> String {
     format!("{:.0} % [{low:.0}, {high:.0}]", 100.0 * fraction)
 }
 
+/// Returns the name of a measure and its unit.
+fn measure_text(found: &Measured) -> String {
+    format!("{} [{}]", found.measure, found.unit)
+}
+
+/// Returns a mean with about three digits.
+fn mean_text(mean: &Option<f64>) -> String {
+    let decimals = |mean: f64| match mean.abs() {
+        ..0.1 => 4,
+        ..10.0 => 2,
+        _ => 0,
+    };
+    mean.map_or(NOTHING.to_owned(), |mean| format!("{mean:.*}", decimals(mean)))
+}
+
 /// Returns the scores as a table of plain text, one line for each discipline if `width` allows it.
 pub fn text(examination: &Examination, width: usize) -> String {
     let row = |first: &str, cells: Vec<String>| [vec![first.to_owned()], cells].concat();
@@ -55,6 +71,7 @@ pub fn text(examination: &Examination, width: usize) -> String {
     let mut rows = vec![row("", examination.names.clone()), trained];
     let grades = examination.grades.iter();
     rows.extend(grades.map(|it| row(it.discipline, it.scores.iter().map(|score| score_text(*score)).collect())));
+    rows.extend(examination.measures.iter().map(|it| row(&measure_text(it), it.means.iter().map(mean_text).collect())));
     plain_text::table(&rows, width)
 }
 
@@ -69,6 +86,8 @@ fn page(examination: &Examination, film: Option<&Film>, figure: &str, command: &
         @for note in examination.notes.iter().chain(&examination.faults) { p.note { (note) } }
         figure { (PreEscaped(figure)) }
         (table(examination))
+        p { "Means over trials: docs/benchmark.md defines them. Trials with a fall have no number, except for impulses survived." }
+        (numbers(examination))
         @if let Some(film) = film {
             figure {
                 img src="fall.png" alt="Six pictures of a fall" style="width:100%";
@@ -90,6 +109,15 @@ fn table(examination: &Examination) -> Markup {
                 @for score in &grade.scores { td.number { (score_text(*score)) } }
                 td.number { (falls(grade)) }
             }
+        }
+    })
+}
+
+fn numbers(examination: &Examination) -> Markup {
+    scrolled(html! {
+        tr { th { "measure" } @for name in &examination.names { th { (name) } } }
+        @for found in &examination.measures {
+            tr { td { (measure_text(found)) } @for mean in &found.means { td.number { (mean_text(mean)) } } }
         }
     })
 }

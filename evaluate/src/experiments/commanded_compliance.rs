@@ -188,7 +188,7 @@ impl Experiment for CommandedCompliance {
             let label = format!("{}, c = {}", gait(forward_m_s), brief(c));
             let pulls = pairs(&self.forces_n, &evenly(self.directions));
             all.extend(conditions(pulls, |(force_n, direction_deg)| {
-                let scenario = Leash { task: task.clone(), force_n, direction_deg, at_s, for_s };
+                let scenario = Leash { task: task.clone(), force_n, direction_deg, at_s, for_s, set_point_per_s: 0.0 };
                 (format!("{label}, {} N, {direction_deg:.0}°", brief(force_n)), Scenario::Leash(scenario))
             }));
         }

@@ -5,6 +5,7 @@ use super::{push, velocity};
 use crate::plot::curves::Curve;
 use crate::results::Results;
 use crate::statistics::Spread;
+use supple::scenario::catalog::PushTrunk;
 
 const QUANTITIES: &[Quantity] = &[
     push::TO_10,
@@ -14,6 +15,9 @@ const QUANTITIES: &[Quantity] = &[
     push::UNDECAYED,
     FELL,
 ];
+
+/// The duration of the shove that stands beside the instant push \[s\].
+const SHOVE_S: f64 = 0.1;
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -39,7 +43,8 @@ impl Experiment for Decay {
     fn info(&self) -> ExperimentInfo {
         ExperimentInfo {
             paper: "Fig. 3",
-            method: "Walking at 0.5 m/s, the robot is pushed to the left by 0.5 m/s. e(t) is the velocity along the \
+            method: "Walking at 0.5 m/s, the robot is pushed to the left by 0.5 m/s, in an instant \
+                     and, in a second condition, by a steady force within 0.1 s. e(t) is the velocity along the \
                      push minus its mean over the last second before, smoothed by a centred moving average of 0.4 s, \
                      about a stride. Decay time is the last time after the push at which |e| exceeds 10 % (and 20 %) \
                      of the push; a trial with a fall has none, and a push that lasts to the end counts as lasting \
@@ -50,7 +55,10 @@ impl Experiment for Decay {
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
-        push::sideways()
+        let instant = push::sideways()?;
+        let label = format!("{}, within {SHOVE_S} s", instant[0].label);
+        let shove = PushTrunk { for_s: SHOVE_S, ..defaults("push")? };
+        Ok(instant.into_iter().chain([Condition { label, scenario: Scenario::Push(shove) }]).collect())
     }
 
     fn measure(&self, trial: &Trial) -> TrialValues {
@@ -65,7 +73,9 @@ impl Experiment for Decay {
     }
 
     fn report(&self, section: &mut SectionBuilder) {
-        section.table("Decay of a sideways push of 0.5 m/s.").set_paper("decay_10_s", "+85 %");
+        section
+            .table("Decay of a sideways push of 0.5 m/s, in an instant and within 0.1 s.")
+            .set_paper("decay_10_s", "+85 %");
         let results = section.results;
         let means =
             section.per_seed(0, "decay_10_s").into_iter().map(|seeds| Spread::from_values(&seeds).map(|it| it.mean));

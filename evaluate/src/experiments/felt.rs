@@ -114,7 +114,7 @@ impl Felt {
         let (at_s, for_s) = (self.at_s, self.for_s);
         let pull = |forward_m_s: f64, force_n: f64, direction_deg: f64, extra_mass_kg: f64| {
             let task = Task { forward_m_s, duration_s: at_s + for_s, extra_mass_kg, ..leash.task.clone() };
-            Scenario::Leash(Leash { task, force_n, direction_deg, at_s, for_s })
+            Scenario::Leash(Leash { task, force_n, direction_deg, at_s, for_s, set_point_per_s: 0.0 })
         };
         let undisturbed = |[forward_m_s, left_m_s, yaw_rad_s]: [f64; 3], extra_mass_kg: f64| {
             Scenario::Walk(Walk { task: Task { forward_m_s, left_m_s, yaw_rad_s, extra_mass_kg, ..walk.task.clone() } })

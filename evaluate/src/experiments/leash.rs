@@ -25,7 +25,7 @@ pub(super) fn pulls(forces_n: &[f64], directions: u32, [at_s, for_s]: [f64; 2]) 
     let base: LeashScenario = defaults("leash")?;
     Ok(conditions(pairs(forces_n, &evenly(directions)), |(force_n, direction_deg)| {
         let task = Task { duration_s: at_s + for_s, ..base.task.clone() };
-        let scenario = Scenario::Leash(LeashScenario { force_n, direction_deg, at_s, for_s, task });
+        let scenario = Scenario::Leash(LeashScenario { force_n, direction_deg, at_s, for_s, task, ..base });
         (format!("{} N, {direction_deg:.1}°", brief(force_n)), scenario)
     }))
 }

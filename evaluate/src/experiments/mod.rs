@@ -1,4 +1,4 @@
-//! The experiments E0 to E15, one file each: its conditions, its quantities, and its section of the report.
+//! The experiments E0 to E17, one file each: its conditions, its quantities, and its section of the report.
 
 pub mod ball_pit;
 pub mod commanded_compliance;
@@ -16,6 +16,8 @@ pub mod pulley;
 mod push;
 pub mod push_grid;
 pub mod rubble;
+pub mod set_point;
+pub mod shove;
 pub mod table4;
 pub mod terrain;
 mod velocity;
@@ -86,6 +88,8 @@ protocol! {
     wall: wall::Wall;
     lead: lead::Lead;
     felt: felt::Felt;
+    shove: shove::Shove;
+    set_point: set_point::SetPoint;
 }
 
 /// Returns the name of the gait at a forward command \[m/s\].

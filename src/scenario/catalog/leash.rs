@@ -17,6 +17,8 @@ parameters! {
         at_s: f64 = 0.0 to 3600.0, "0 to 3600 s";
         /// Duration of the pull (s)
         for_s: f64 = 0.0 to 3600.0, "0 to 3600 s";
+        /// Rate at which the robot is commanded back to where its commands alone would have led it; 0 for none (1/s)
+        set_point_per_s: f64 = 0.0 to 10.0, "0 to 10 per second";
     }
 }
 
@@ -26,6 +28,7 @@ impl Parameters for Leash {
         let force = towards(self.direction_deg).map(|part| self.force_n * part);
         let pull = Pull::constant([self.at_s, self.at_s + self.for_s], force);
         script.disturbances.push(Disturbance::Pull(pull));
+        script.set_point_per_s = self.set_point_per_s;
         Ok(())
     }
 

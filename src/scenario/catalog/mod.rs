@@ -315,6 +315,7 @@ impl Scenario {
             },
             duration_s: task.duration_s,
             after_fall_s: AFTER_FALL_S,
+            set_point_per_s: 0.0,
             disturbances: Vec::new(),
             goal: None,
         };

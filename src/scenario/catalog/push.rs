@@ -1,4 +1,4 @@
-//! The scenario `push`: sudden changes of the trunk's velocity (E1 to E4).
+//! The scenario `push`: changes of the trunk's velocity (E1 to E4, E16).
 
 use rand::RngExt;
 
@@ -10,7 +10,7 @@ use crate::util::random::{Purpose, stream};
 use crate::world::{Disturbance, Push};
 
 parameters! {
-    /// Push: a sudden change of the trunk's velocity.
+    /// Push: a change of the trunk's velocity.
     PushTrunk {
         /// Size of the velocity change (m/s)
         push_m_s: f64 = 0.0 to 20.0, "0 to 20 m/s";
@@ -20,6 +20,10 @@ parameters! {
         at_s: f64 = 0.0 to 3600.0, "0 to 3600 s";
         /// Push again at this interval; 0 pushes once (s)
         every_s: f64;
+        /// Time over which a force gives the robot the push's momentum; 0 for an instant (s)
+        for_s: f64 = 0.0 to 10.0, "0 to 10 s";
+        /// Change of the size from each push to the next (m/s)
+        growth_m_s: f64 = 0.0 to 20.0, "0 to 20 m/s";
     }
 }
 
@@ -29,16 +33,21 @@ impl Parameters for PushTrunk {
         if self.every_s != 0.0 {
             in_range("every-s", self.every_s, 0.1, 3600.0, "0.1 to 3600 s, or 0 for a single push")?;
         }
-        let linear = towards(self.direction_deg).map(|part| self.push_m_s * part);
-        let push = |at_s| Disturbance::Push(Push { at_s, linear, angular: [0.0; 3] });
+        let mut push = Push {
+            linear: towards(self.direction_deg).map(|part| self.push_m_s * part),
+            for_s: self.for_s,
+            ..Push::default()
+        };
+        let growth = towards(self.direction_deg).map(|part| self.growth_m_s * part);
         // A push may come at any phase of the gait.
         let phase_s = PHASE_S * stream(seed, Purpose::Scenario, 0, 0).random_range(0.0..1.0);
-        let mut time_s = self.at_s + phase_s;
+        push.at_s = self.at_s + phase_s;
         // The first one also if it would come too late: the script can then say so.
-        script.disturbances.push(push(time_s));
-        while self.every_s > 0.0 && time_s + self.every_s < script.duration_s {
-            time_s += self.every_s;
-            script.disturbances.push(push(time_s));
+        script.disturbances.push(Disturbance::Push(push));
+        while self.every_s > 0.0 && push.at_s + self.every_s < script.duration_s {
+            push.at_s += self.every_s;
+            (0..2).for_each(|axis| push.linear[axis] += growth[axis]);
+            script.disturbances.push(Disturbance::Push(push));
         }
         Ok(())
     }
@@ -50,7 +59,7 @@ impl Parameters for PushTrunk {
         let alone = pushes.next().map(|second| trace.until(second.at_s));
         let trace = alone.as_ref().unwrap_or(trace);
         let at_s = first.at_s;
-        let pushed_s = trace.disturbed("push");
+        let pushed_s = trace.disturbed(if self.for_s > 0.0 { "pull:" } else { "push" });
         let decay = |threshold| metrics::decay(trace, at_s, first.linear, threshold, STRIDE_S);
         let [to_10, to_20] = [0.1, 0.2].map(|threshold| decay(threshold).filter(|_| pushed_s.is_some()));
         // Of a whole second or not at all: means over different times are no comparison.

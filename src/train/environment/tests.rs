@@ -313,7 +313,7 @@ fn pulls_and_pushes_are_felt_in_the_step_in_which_they_act() {
     config.episode.slope = 0.0;
     let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
     env.without_stagger();
-    let push = Push { at_s: config.episode.walking_s, linear: [0.01, 0.2], angular: [0.0; 3] };
+    let push = Push { at_s: config.episode.walking_s, linear: [0.01, 0.2], ..Push::default() };
     let pull = Pull::constant([0.01, 0.1], [3.0, -4.0]);
     replan(&mut env, [Disturbance::Push(push), Disturbance::Pull(pull)]);
     let felt = |env: &mut LocomotionEnv| {

@@ -28,7 +28,7 @@ use crate::sim::Sim;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Disturbance {
-    /// A sudden change of the trunk's velocity.
+    /// A change of the trunk's velocity.
     Push(Push),
     /// A force on the trunk.
     Pull(Pull),
@@ -160,7 +160,10 @@ impl Acting {
     /// The scene lacks a part of it.
     pub(super) fn new(what: Disturbance, sim: &Sim) -> Result<Self> {
         Ok(match what {
-            Disturbance::Push(push) => Acting::Push(push, false),
+            Disturbance::Push(push) => match push.pull(sim.robot().mass_kg) {
+                Some(pull) => Acting::Pull(pull, pull::Memory::default()),
+                None => Acting::Push(push, false),
+            },
             Disturbance::Pull(pull) => Acting::Pull(pull, pull::Memory::default()),
             Disturbance::Spring(spring) => Acting::Spring(spring, spring::Memory::new(sim)?),
             Disturbance::Rig(rig) => {

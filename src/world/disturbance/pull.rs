@@ -85,6 +85,11 @@ impl Pull {
         Pull { frame: PullFrame::Heading, ..Pull::constant([f64::NEG_INFINITY, f64::INFINITY], force) }
     }
 
+    /// Returns true for [`Pull::hand`].
+    pub(in crate::world) fn is_by_hand(&self) -> bool {
+        self.frame == PullFrame::Heading && self.from_s == f64::NEG_INFINITY
+    }
+
     /// Returns the force in the policy step that begins at `at`, before its profile, world frame \[N\]; `None` if it does not
     /// act.
     pub(in crate::world) fn in_step(&self, at: StepTime, sim: &Sim) -> Option<Vector3<f64>> {

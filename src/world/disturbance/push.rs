@@ -1,12 +1,12 @@
-//! Pushes: sudden changes of the trunk's velocity.
+//! Pushes: changes of the trunk's velocity, in an instant or within a short time.
 
 use serde::{Deserialize, Serialize};
 
-use super::{Effects, Event, StepTime};
+use super::{Effects, Event, Pull, PullFrame, StepTime};
 use crate::mujoco::Result;
 use crate::sim::Sim;
 
-/// A sudden change of the trunk's velocity.
+/// A change of the trunk's velocity.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Push {
     /// Time of the push \[s\].
@@ -15,9 +15,24 @@ pub struct Push {
     pub linear: [f64; 2],
     /// Change of angular velocity about the base's three axes [rad/s].
     pub angular: [f64; 3],
+    /// Time over which a steady force on the trunk gives the robot the momentum of `linear` \[s\]; 0 for an instant.
+    #[serde(default, skip_serializing_if = "instant")]
+    pub for_s: f64,
+}
+
+#[allow(clippy::trivially_copy_pass_by_ref)]
+fn instant(for_s: &f64) -> bool {
+    *for_s == 0.0
 }
 
 impl Push {
+    /// Returns the pull that gives a robot the same momentum; `None` for a push in an instant.
+    pub(super) fn pull(&self, mass_kg: f64) -> Option<Pull> {
+        let force = self.linear.map(|change| mass_kg * change / self.for_s);
+        let pull = Pull::constant([self.at_s, self.at_s + self.for_s], force);
+        (self.for_s > 0.0).then_some(Pull { frame: PullFrame::Heading, ..pull })
+    }
+
     /// Pushes the trunk if the push comes in the policy step that begins at `at`; returns true if it does.
     pub(super) fn before_step(&self, at: StepTime, sim: &mut Sim, effects: &mut Effects) -> Result<bool> {
         if !at.has_come(self.at_s) {
