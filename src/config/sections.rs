@@ -522,4 +522,8 @@ pub struct Run {
     /// without it.
     #[garde(inner(custom(within(1..=MAX_SAMPLES, ""))))]
     pub keep_policy_every: Option<u64>,
+    /// Policy from which the run starts: a file, a run's folder or a shipped one, or several of them, NAME-seedN, of which each
+    /// seed takes its own. It observes the same, and its network has the same layers. The curricula are complete then.
+    #[garde(skip)]
+    pub start_from: Option<String>,
 }

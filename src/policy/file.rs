@@ -194,6 +194,9 @@ impl Policy {
         fn scale_rad(&self) -> f64 = self.inference.action.scale_rad[0];
         /// Returns the inference from states to joint targets.
         fn inference(&self) -> &Inference = &self.inference;
+        /// Returns the joint targets \[rad\] for an observation in physical units, shape (length of the layout).
+        ///
+        /// # Panics
         /// The observation has another length.
         fn joint_targets(&self, observation: &[f64], buffers: &mut InferenceBuffers) -> Joints =
             self.inference.joint_targets(observation, buffers);
@@ -201,9 +204,6 @@ impl Policy {
         fn sha256(&self) -> &str = &self.sha256;
     }
 
-    /// Returns the joint targets \[rad\] for an observation in physical units, shape (length of the layout).
-    ///
-    /// # Panics
     /// Serialises the policy to the bytes of a policy file.
     ///
     /// # Errors

@@ -151,7 +151,8 @@ fn offsets(agent: &Agent, probes: &[Probe], threads: usize) -> Result<Vec<Option
         let task =
             Task { forward_m_s: forward, left_m_s: left, yaw_rad_s: yaw, compliance, duration_s, ..base.task.clone() };
         let (force_n, direction_deg) = (probe.force_n, probe.direction_deg);
-        let scenario = Scenario::Leash(Leash { task, force_n, direction_deg, at_s: AT_S, for_s: FOR_S, set_point_per_s: 0.0 });
+        let scenario =
+            Scenario::Leash(Leash { task, force_n, direction_deg, at_s: AT_S, for_s: FOR_S, set_point_per_s: 0.0 });
         let script = scenario.script(0, &agent.config)?;
         let trace = Playback::new(&script, &agent.config, agent.controller())?.trace();
         let along =

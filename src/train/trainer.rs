@@ -20,7 +20,7 @@ use crate::config::{Config, ValueError};
 use crate::mujoco;
 use crate::network::ActorCritic;
 use crate::observation::Layout;
-use crate::policy::{Policy, Provenance};
+use crate::policy::{Policy, Provenance, shipped};
 use crate::ppo::{
     Learner, LearnerState, PrecisionError, Samples, UpdateFault, entropy_coefficient_after, learner, resolved,
 };
@@ -70,6 +70,9 @@ pub enum TrainError {
     /// A rank failed; the error is reported on all of them.
     #[error(transparent)]
     Rank(#[from] RankError),
+    /// The run cannot start from the policy that its configuration names.
+    #[error("run.start_from: {0}")]
+    Start(String),
     /// A checkpoint does not fit its own configuration.
     #[error("the checkpoint does not fit its configuration: {0}")]
     Checkpoint(String),
@@ -137,9 +140,13 @@ impl Trainer {
         let mut rng = stream(seed, Purpose::Weights, 0, 0);
         let ppo = &config.ppo;
         let log_std = ppo.initial_log_std as f32;
-        let network = ActorCritic::asymmetric(shared.inputs(), &ppo.hidden_layers, JOINTS, log_std, &mut rng);
+        let mut network = ActorCritic::asymmetric(shared.inputs(), &ppo.hidden_layers, JOINTS, log_std, &mut rng);
+        let mut curriculum = Curriculum::new(&config.command);
+        if let Some(name) = &config.run.start_from {
+            network.policy = started_from(name, seed, &config, &shared.layout)?.actor;
+            curriculum = Curriculum::complete();
+        }
         let learner = learner(ppo, LearnerState::new(network, ppo), threads, Arc::clone(&ranks))?;
-        let curriculum = Curriculum::new(&config.command);
         let environments = environments(&config, &shared, seed, curriculum, &*ranks)?;
         let run = RunState {
             config_name: config_name.to_owned(),
@@ -382,6 +389,20 @@ impl Trainer {
     pub fn run(&self) -> &RunState {
         &self.run
     }
+}
+
+/// Reads the policy from which a run of a seed starts: `NAME-seedN` if there is one, else `NAME`.
+fn started_from(name: &str, seed: u64, config: &Config, layout: &Layout) -> Result<Policy, TrainError> {
+    let of_seed = shipped::find_ours(&format!("{name}-seed{seed}"));
+    let policy = of_seed.or_else(|_| shipped::find_ours(name)).map_err(|error| TrainError::Start(error.to_string()))?;
+    let [found, wanted] = [&policy.provenance.config, config].map(|config| (&config.ppo.hidden_layers, &config.action));
+    let differs = match () {
+        () if policy.layout() != layout => "observation",
+        () if found.0 != wanted.0 => "ppo.hidden_layers",
+        () if found.1 != wanted.1 => "action",
+        () => return Ok(policy),
+    };
+    Err(TrainError::Start(format!("{name} has another `{differs}` than this configuration")))
 }
 
 /// Builds the mirror if it is used.
