@@ -31,6 +31,10 @@ use crate::train::Curriculum;
 use crate::util::files::FileError;
 use crate::util::random::{Purpose, stream};
 
+/// Number of iterations in which a run that starts from a policy leaves it as it is, while the critic learns: without advantages
+/// and entropy bonus.
+const CRITIC_FIRST: u64 = 20;
+
 /// The reason why training stopped.
 #[derive(Debug, thiserror::Error)]
 pub enum TrainError {
@@ -253,13 +257,17 @@ impl Trainer {
         };
         let episodes = agree(&*self.ranks, episodes)?.concat();
         self.faults = episodes.iter().filter_map(|episode| episode.fault.as_deref().cloned()).collect();
-        let (advantages, returns) = rollout.advantages(ppo.discount, ppo.gae_lambda);
+        let (mut advantages, returns) = rollout.advantages(ppo.discount, ppo.gae_lambda);
+        let is_critic_alone = self.run.config.run.start_from.is_some() && self.run.iteration < CRITIC_FIRST;
+        if is_critic_alone {
+            advantages.fill(0.0);
+        }
         let collected = started.elapsed();
 
         let batch = rollout.batch(&network.log_std, &advantages, &returns);
         let permutations = self.permutations(rollout.len());
         let part = self.run.samples as f64 / self.run.config.run.samples as f64;
-        self.learner.set_entropy_coefficient(entropy_coefficient_after(ppo, part));
+        self.learner.set_entropy_coefficient(if is_critic_alone { 0.0 } else { entropy_coefficient_after(ppo, part) });
         let batch = match &self.mirror {
             None => batch,
             Some(mirror) => {
