@@ -194,6 +194,9 @@ impl Policy {
         fn scale_rad(&self) -> f64 = self.inference.action.scale_rad[0];
         /// Returns the inference from states to joint targets.
         fn inference(&self) -> &Inference = &self.inference;
+        /// Returns the joint targets \[rad\] for an observation in physical units, shape (length of the layout).
+        ///
+        /// # Panics
         /// The observation has another length.
         fn joint_targets(&self, observation: &[f64], buffers: &mut InferenceBuffers) -> Joints =
             self.inference.joint_targets(observation, buffers);
@@ -201,9 +204,6 @@ impl Policy {
         fn sha256(&self) -> &str = &self.sha256;
     }
 
-    /// Returns the joint targets \[rad\] for an observation in physical units, shape (length of the layout).
-    ///
-    /// # Panics
     /// Serialises the policy to the bytes of a policy file.
     ///
     /// # Errors
@@ -337,7 +337,7 @@ enum PolicyFileFault {
     Action,
     #[error("its simulation differs from that of the configuration it was trained with")]
     Simulation,
-    #[error("its network answers its golden observations with numbers that are not finite")]
+    #[error("its network returns numbers that are not finite for its golden observations")]
     GoldenNotFinite,
     #[error(
         "its golden joint targets are off by {worst:.2e} rad, at most {GOLDEN_TOLERANCE:.0e} is expected: the file is damaged"
@@ -352,7 +352,7 @@ impl PolicyMetadata {
         config.check()?;
         let layout = config.layout()?;
         let (named, configured) = (self.usage.observation_elements.len(), layout.length());
-        // The lengths may be any numbers.
+        // The file may state any lengths, so the sum saturates.
         let described = self.observation.iter().fold(0_usize, |sum, block| sum.saturating_add(block.length));
         if [named, described] != [configured; 2] {
             return Err(PolicyFileFault::Length { described, named, configured });
