@@ -71,7 +71,7 @@ fn main() {
 /// Returns the folder with `include` and `lib` of MuJoCo: that of `MUJOCO_PREFIX`, else the one that `scripts/setup mujoco` has made in
 /// this checkout, else the system's.
 fn find_prefix() -> PathBuf {
-    // Of the run, not of the compilation: checkouts may share a target folder.
+    // Read when it runs, not when it is compiled, as checkouts may share a target folder.
     let checkout = PathBuf::from(env::var_os("CARGO_MANIFEST_DIR").unwrap_or_default()).join("..");
     let fetched = checkout.join(".mujoco");
     if fetched.exists() {

@@ -5,7 +5,7 @@ read the code, follow the data:
 
 1. [`config`] and [`robot`]: the settings and the quadruped as plain data;
 2. [`sim`] on [`mujoco`]: the robot simulated in its scene, one policy step at a time;
-3. [`observation`] and [`task`]: the policy's input, and its reward; [`world`]: the robot with what disturbs it, feels and pays;
+3. [`observation`] and [`task`]: the policy's input, and its reward; [`world`]: the robot with disturbances and reward;
 4. [`train`], [`ppo`] and [`network`]: rollouts, updates and weights; several processes train one run as [`ranks`];
 5. [`policy`]: the result, as a file and as a controller;
 6. [`scenario`] and [`estimate`]: disturbances of a policy that acts on the true state or on its sensors, and their

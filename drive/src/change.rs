@@ -94,7 +94,7 @@ pub struct Builder {
     number: u64,
     given_up: usize,
     to_robots: SyncSender<Message>,
-    /// True if people elsewhere may name files: only the terminal then shows what is wrong with one.
+    /// True if pages on other machines may name files: only the terminal then shows errors about them.
     is_shared: bool,
 }
 
@@ -128,7 +128,7 @@ impl Builder {
         }
     }
 
-    /// Returns what pages should know about a change that takes long, and gives it up if another one has waited long enough.
+    /// Returns a notice about a change that takes long, and gives it up if another one has waited long enough.
     pub fn look(&mut self) -> Option<String> {
         let present = self.present.as_mut()?;
         let taken = present.since.elapsed();
@@ -157,7 +157,7 @@ impl Builder {
         let (number, to_robots, is_shared) = (self.number, self.to_robots.clone(), self.is_shared);
         let (setup, cache, what) = (before.clone(), cache.clone(), name.clone());
         let work = move || {
-            // That of the scene before the present one.
+            // Frees the memory of the scene before the present one.
             mujoco::release_memory();
             let result = change.build(setup, cache).map(Box::new).map_err(|error| {
                 let is_harmless = matches!(error.downcast_ref(), Some(SessionError::Agent(AgentError::Unknown { .. })));
@@ -209,7 +209,7 @@ mod tests {
         };
         let path = path.to_str().unwrap();
         assert!(told(path, false).contains("password_of_the_lab"), "{}", told(path, false));
-        assert_eq!(told(path, true), format!("'{path}' cannot be loaded: the terminal says why"));
+        assert_eq!(told(path, true), format!("'{path}' cannot be loaded: the terminal shows the reason"));
         assert!(told("missing", true).contains("there is no policy 'missing'"));
     }
 }

@@ -43,8 +43,8 @@ pub struct Live {
 }
 
 impl Live {
-    /// Builds the robots and their scene. Inputs are written into the file `session`; saved sessions go into `folder`. With
-    /// `is_shared`, people elsewhere may name files: pages then do not show what is wrong with one.
+    /// Builds the robots and their scene. Inputs are written into the file `session`; saved sessions go into `folder`. With `is_shared`,
+    /// pages on other machines may name files: pages then do not show errors about them.
     ///
     /// # Errors
     /// The scene cannot be built, the session cannot be written, or a thread cannot be started.
@@ -155,7 +155,7 @@ impl Live {
         Ok(())
     }
 
-    /// Does what the driving page wants, within bounds.
+    /// Does what the driving page requests, within bounds.
     fn act(&mut self, act: Act) -> anyhow::Result<()> {
         match bounded(act, &self.world.range()) {
             Act::Command(command) => self.command(command),
@@ -226,7 +226,7 @@ impl Live {
         Ok(())
     }
 
-    /// Goes on with robots and scene that were built from the set-up `before`; keeps the command and the pull.
+    /// Continues with robots and scene that were built from the set-up `before`; keeps the command and the pull.
     fn take_over(&mut self, built: Built, before: &Setup) -> anyhow::Result<()> {
         let (tick, old) = (self.world.tick(), self.world.setup().robots.clone());
         self.world.replace(built.world);
@@ -236,7 +236,7 @@ impl Live {
         let (command, pull) = (std::mem::take(&mut self.command), self.pull.take());
         self.command(command)?;
         self.hold(pull)?;
-        // What was commanded meanwhile.
+        // Keeps the compliance that was commanded meanwhile.
         for (robot, ((new, old), before)) in setup.robots.iter().zip(&old).zip(&before.robots).enumerate() {
             if old.compliance != before.compliance && old.sha256 == new.sha256 {
                 self.input(Input::Act(Act::Comply { robot, compliance: old.compliance }))?;
@@ -307,7 +307,7 @@ impl Live {
 /// Creates the file of the session while it happens.
 ///
 /// # Errors
-/// The folder for temporary files takes none, for example because it is full.
+/// No file can be created in the folder for temporary files, for example because it is full.
 pub fn session_file() -> anyhow::Result<File> {
     tempfile::tempfile().with_context(|| format!("cannot begin a session: {}", temporary()))
 }

@@ -18,7 +18,7 @@ use crate::driver::Driver;
 use crate::message::Message;
 use crate::viewer_stream::{Cast, Snapshot};
 
-/// Longest wait for a message: silence of the driving page is noticed while paused, too.
+/// Longest wait for a message, so that silence of the driving page is also noticed while paused.
 const LONGEST_WAIT: Duration = Duration::from_millis(50);
 
 /// Number of notices that pages show.

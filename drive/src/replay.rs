@@ -128,7 +128,7 @@ pub fn watch(
                     }
                     Err(problem) => {
                         terminal::note(format_args!("cannot start over: {problem}"));
-                        publisher.notice("cannot start over: the terminal says why".to_owned());
+                        publisher.notice("cannot start over: the terminal shows the reason".to_owned());
                     }
                 }
             }

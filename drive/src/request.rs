@@ -14,7 +14,7 @@ const MOST_PUSH_M_S: f64 = 3.0;
 const MOST_PUSH_N_S: f64 = 40.0;
 /// Largest pull \[N\].
 pub const MOST_PULL_N: f64 = 100.0;
-/// All three of them, as pages are told.
+/// The three limits, as `hello` sends them to pages.
 pub const MOST: [f64; 3] = [MOST_PUSH_M_S, MOST_PUSH_N_S, MOST_PULL_N];
 
 /// A request of a page; all but `Drive` are obeyed only from the driving page.
@@ -61,7 +61,7 @@ impl Request {
     /// Parses a message.
     ///
     /// # Errors
-    /// Says in words why the message is invalid.
+    /// The message is invalid; the text gives the reason.
     pub fn parse(text: &str) -> Result<Self, String> {
         let request = serde_json::from_str(text)
             .map_err(|error| format!("it is no request of a page: {}", echo(&error.to_string())))?;
@@ -96,7 +96,7 @@ pub fn bounded(act: Act, range: &Command) -> Act {
 
 /// Shortens a finite vector to at most `most`, keeping its direction.
 pub fn limited(vector: [f64; 2], most: f64) -> [f64; 2] {
-    // So that neither the length nor a product overflows.
+    // Scaled, so that neither the length nor a product overflows.
     let largest = vector[0].abs().max(vector[1].abs());
     if largest > 1e100 {
         return limited(vector.map(|part| part / largest * 1e100), most);

@@ -1,6 +1,6 @@
 /*! Saves the last minute or the whole session, and then its recording.
 
-Both happen beside the robots, one at a time each: few saves wait, and further ones are refused with a notice.
+Each of the two has a thread, which writes one at a time. A few saves may wait; further ones are refused with a notice.
 */
 
 use std::collections::VecDeque;
@@ -145,7 +145,7 @@ impl Saver {
         for recording in unfinished.into_iter().flatten() {
             let (session, name) = (recording.with_extension("jsonl"), recording.display());
             let (session, word) = (terminal::shell_word(session), terminal::shell_word(&recording));
-            // What cannot be removed is empty or cut off, as the note says.
+            // A file that cannot be removed is incomplete, as the note says.
             let _ = fs::remove_file(&recording);
             let command = format!("drive --replay {session} --record {word}");
             terminal::note(format_args!("the recording {name} was given up; write it with: {command}"));
@@ -168,14 +168,14 @@ fn with<T>(unfinished: &Unfinished, change: impl FnOnce(&mut Vec<PathBuf>) -> T)
     unfinished.lock().ok()?.as_mut().map(change)
 }
 
-/// Has the recording of a saved session written; returns the notice.
+/// Queues the recording of a saved session; returns the notice.
 fn hand_on(saved: Saved, to: &SyncSender<Saved>, unfinished: &Unfinished) -> String {
     let (session, recording) = (saved.session.display().to_string(), saved.recording.clone());
     if to.try_send(saved).is_ok() {
         return format!("saved the session as {session}; its recording is being written");
     }
     with(unfinished, |all| all.retain(|path| *path != recording));
-    // It is empty, and was only to reserve the name.
+    // The empty file only reserved the name.
     let _ = fs::remove_file(recording);
     let hint = "because others wait: `--replay` with `--record` writes it";
     format!("saved the session as {session}, without a recording, {hint}")

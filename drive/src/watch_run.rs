@@ -17,8 +17,8 @@ use crate::server::start_thread;
 /// Time between two checks.
 const PERIOD: Duration = Duration::from_millis(500);
 
-/// Starts a thread that reads every watched policy file whenever it changes, until the receiver is dropped. With `is_shared`,
-/// people elsewhere may name files: only the terminal then shows what is wrong with one.
+/// Starts a thread that reads every watched policy file whenever it changes, until the receiver is dropped. With `is_shared`, pages on
+/// other machines may name files: only the terminal then shows errors about them.
 pub fn start(watched: Arc<Mutex<Vec<PathBuf>>>, to: SyncSender<Message>, is_shared: bool) -> anyhow::Result<()> {
     let mut seen: HashMap<PathBuf, SystemTime> = HashMap::new();
     let look = move || {
@@ -45,14 +45,14 @@ pub fn start(watched: Arc<Mutex<Vec<PathBuf>>>, to: SyncSender<Message>, is_shar
     start_thread("watching runs", look)
 }
 
-/// Returns the notice that pages show for something that cannot be loaded. With `is_shared`, only the terminal shows what is wrong with
-/// it: that may quote any file of this machine.
+/// Returns the notice for pages about a file that cannot be loaded. With `is_shared`, only the terminal shows the error, as it may quote
+/// any file of this machine.
 pub fn told(error: &str, what: &str, is_shared: bool) -> String {
     if !is_shared {
         return error.to_owned();
     }
     terminal::note(error);
-    format!("{what} cannot be loaded: the terminal says why")
+    format!("{what} cannot be loaded: the terminal shows the reason")
 }
 
 /// Returns the file of each robot's policy, if it may change while it is used.
@@ -79,6 +79,6 @@ mod tests {
             text
         };
         assert!(told(false).contains("private.safetensors"));
-        assert_eq!(told(true), "a newer policy cannot be loaded: the terminal says why");
+        assert_eq!(told(true), "a newer policy cannot be loaded: the terminal shows the reason");
     }
 }

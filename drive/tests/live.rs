@@ -11,7 +11,7 @@ use common::{Drive, PATIENCE, replay, start, text};
 use serde_json::{Value, json};
 use tungstenite::Message;
 
-/// What a replay with the same bits ends with.
+/// The last line of a replay with the same bits.
 const SAME: &str = "the final state matches the original bit for bit";
 
 #[test]

@@ -1,7 +1,7 @@
 /*! Learning curves of sets of runs: reward, `r_lin`, falls and power over samples and over minutes of training.
 
-Each run is averaged over windows of a fiftieth of the longest run of all sets; a set's curve is the mean of its runs with their
-range, as far as all of them have come.
+Each run is averaged over windows of a fiftieth of the longest run of all sets; a set's curve is the mean of its runs with their range, up
+to the end of the shortest run.
 */
 
 use std::path::{Path, PathBuf};
@@ -62,14 +62,14 @@ impl LearningSet {
         })
     }
 
-    /// Reads the metrics of those folders that have some; `None` if none has.
+    /// Reads the metrics of the folders that have some; `None` if no folder has.
     fn from_folders(name: &str, folders: &[PathBuf]) -> Result<Option<Self>, FileError> {
         let runs = folders.iter().filter(|folder| folder.join(METRICS).is_file()).map(|folder| metrics(folder));
         let runs = runs.collect::<Result<Vec<_>, _>>()?;
         Ok((!runs.is_empty()).then(|| LearningSet { name: name.to_owned(), runs }))
     }
 
-    /// Returns the points (x, mean, least, largest) of a quantity over an axis, for windows of a width.
+    /// Returns the points (x, mean, least, largest) of a quantity over an axis, for windows of a width along x.
     fn curve(&self, x: Value<f64>, y: Value<Option<f64>>, width: f64) -> Vec<[f64; 4]> {
         let point = |window: usize| {
             let is_in = |it: &&IterationMetrics| (x(it) / width).ceil() as usize == window + 1;

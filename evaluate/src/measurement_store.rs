@@ -139,10 +139,10 @@ impl StoredMeasurement {
     }
 }
 
-/// Locks a folder. The holder writes into the lock file who it is, and `waits` receives that of another process.
+/// Locks a folder. The lock file describes the process that holds it; `waits` receives this description if it is another process.
 fn lock(folder: &Path, waits: impl Fn(&str)) -> Result<File, FileError> {
     let file = open_lock(folder)?;
-    // On a file system without locks, two processes may measure the same: it costs time only.
+    // On a file system without locks, two processes may measure the same, which only costs time.
     if let Err(TryLockError::WouldBlock) = file.try_lock() {
         let mut holder = String::new();
         let _ = (&file).take(MAX_HOLDER_BYTES).read_to_string(&mut holder);
@@ -159,9 +159,9 @@ fn open_lock(folder: &Path) -> Result<File, FileError> {
     File::options().create(true).read(true).append(true).open(&path).map_err(FileError::of(RESULTS, &path))
 }
 
-/// Writes into a lock file that this process holds it.
+/// Writes a description of this process into a lock file that it holds.
 fn hold(mut file: File, folder: &Path) -> Result<File, FileError> {
-    // Others only read it; what cannot be written does no harm.
+    // The description is only for people, so failing to write it does no harm.
     let _ = file.set_len(0);
     let host = fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
     let _ = write!(file, "process {} on {}", std::process::id(), host.trim());

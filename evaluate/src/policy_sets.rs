@@ -61,7 +61,7 @@ pub struct PolicySet {
     pub members: Vec<SetMember>,
 }
 
-/// What a reader has to know of the training of a set before its numbers. Policy files do not have the time it took.
+/// The training of a set, which the report shows before its numbers. Policy files do not record how long it took.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Training {
     /// The name of the set.
@@ -107,8 +107,8 @@ pub struct PolicySets {
 }
 
 impl PolicySets {
-    /// Reads policies `NAME-seedN.safetensors` and external ones `NAME-seedN.yaml` of several names from one folder, or those inside
-    /// the program if it is none, and further sets by name and path.
+    /// Reads policies `NAME-seedN.safetensors` and external ones `NAME-seedN.yaml` of several names from one folder, or the shipped ones
+    /// without a folder, and further sets by name and path.
     ///
     /// # Errors
     /// A folder or policy cannot be read, a set has no policy or two of one seed, or a policy does not support the commanded
@@ -183,7 +183,7 @@ impl PolicySets {
                 }
             }
         }
-        // It may explain more than all that follows.
+        // This note comes first, as it may explain most of a difference.
         notes.splice(0..0, unequal_samples(&sets));
         let policies = PolicySets { sets, notes: Vec::new() };
         let keys: Vec<String> = policies.differing_keys().into_iter().collect();
@@ -200,13 +200,13 @@ impl PolicySets {
         PolicySets { notes, ..policies }
     }
 
-    /// Returns what a reader has to know of each set.
+    /// Returns the training of each set.
     pub fn training(&self) -> Vec<Training> {
         self.sets.iter().map(Training::new).collect()
     }
 
-    /// Returns the keys in which the configurations of Supple's policies differ: neither the compared one, the recovery stage, nor
-    /// the learner's arithmetic, for `docs/training.md` states that all give the same but for rounding.
+    /// Returns the keys in which the configurations of Supple's policies differ: except the recovery stage, which is compared, and the
+    /// learner's arithmetic, which changes only rounding (`docs/training.md`).
     pub fn differing_keys(&self) -> BTreeSet<String> {
         let mut configs = self.members().filter_map(|(_, member)| Some(&member.provenance()?.config));
         let Some(first) = configs.next() else { return BTreeSet::new() };

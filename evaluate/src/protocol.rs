@@ -97,8 +97,8 @@ impl Protocol {
         Ok(protocol)
     }
 
-    /// Returns `self` if the scripts of all conditions can be made. It takes a moment, most of it for uneven ground; of the
-    /// protocols inside the program, a test rules out that they cannot.
+    /// Returns `self` if the scripts of all conditions can be made. It takes a moment, mostly for uneven ground, so a test does it for the
+    /// protocols inside the program.
     fn with_scripts(self) -> Result<Self, ProtocolError> {
         let config = Config::load("compliant")?;
         for experiment in self.experiments() {

@@ -125,7 +125,7 @@ impl Results {
         (format!("{}, seed {words}", self.names[set]), seed.and_then(|seed| self.sets[set].get(&seed)))
     }
 
-    /// Describes the faults in the trials of a set: how many there were, and which was the first; `None` if there were none.
+    /// Describes the faults in the trials of a set: their number and the first of them; `None` if there were none.
     pub fn faults(&self, set: usize) -> Option<String> {
         let (name, EndCounts { trials, faults, .. }) = (&self.names[set], self.ends(set));
         for (seed, policy) in &self.sets[set] {

@@ -31,7 +31,7 @@ pub enum RunError {
     /// A scenario file inside the program is invalid.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// The receiver of the progress asks for no more trials.
+    /// The progress function asks to stop.
     #[error("stopped before all trials were played")]
     Stopped,
 }
@@ -53,11 +53,11 @@ pub enum Update<'a> {
     Played(&'a Job<'a>, Work),
     /// The numbers of the job are kept; its trials took this time \[s\].
     Finished(&'a Job<'a>, f64),
-    /// Another process measures an experiment: this one waits for it. The text says which one it is.
+    /// This process waits for another one, described by the text, which measures an experiment.
     Waits(&'a str),
 }
 
-/// A function that receives what happens, on any thread; its error, usually [`RunError::Stopped`], ends the run.
+/// A function that receives updates, on any thread; its error, usually [`RunError::Stopped`], ends the run.
 pub type Progress<'p> = dyn Fn(Update) -> Result<(), RunError> + Sync + 'p;
 
 /// The words in the name of a job whose robots act on their sensors.
@@ -87,7 +87,7 @@ pub struct Measurement {
 
 /// The trials of one policy in one experiment that are not measured yet.
 pub struct Job<'a> {
-    /// The text that no other job of a report has: `E1 push-grid on sensors, real-seed1`.
+    /// The name, unique within a report: `E1 push-grid on sensors, real-seed1`.
     pub name: String,
     /// The trials.
     pub work: Work,
@@ -98,8 +98,8 @@ pub struct Job<'a> {
     key: String,
 }
 
-/// Returns the jobs of an experiment, one for each policy whose trials are not measured yet. `way` says in their names how the
-/// robots are played.
+/// Returns the jobs of an experiment, one for each policy whose trials are not measured yet. `way` is the part of their names for the way
+/// in which the robots are played.
 ///
 /// # Errors
 /// A scenario file inside the program is invalid, which a test rules out.
@@ -150,12 +150,12 @@ pub(crate) fn finished(
     Ok(Some(Measurement { results, wall_s, revisions }))
 }
 
-/// Plays the trials of all jobs and keeps their numbers. What another process measures comes last, and is not played if that
-/// process finishes it.
+/// Plays the trials of all jobs and keeps their numbers. Jobs that another process measures come last, and are skipped if that process
+/// finishes them.
 ///
 /// # Errors
-/// A trial cannot be played, or the results cannot be written. If several trials fail, the error is that of the first of them
-/// in the order of the jobs; trials behind it are left out.
+/// A trial cannot be played, or the results cannot be written. If several trials fail, the error is that of the first of them in the order
+/// of the jobs; later trials are skipped.
 pub fn run(jobs: &[Job], progress: &Progress) -> Result<(), RunError> {
     let mut left: Vec<&Job> = jobs.iter().collect();
     while let Some(first) = left.first() {
@@ -263,7 +263,7 @@ fn play(queue: &[Active], progress: &Progress) -> Result<(), RunError> {
         let [a, b] = [a, b].map(|&place| trials[place].0.job.cost_s(trials[place].1));
         b.total_cmp(&a)
     });
-    // It must not depend on the threads which trial fails first.
+    // The reported failure must not depend on the threads.
     let (next, failed) = (AtomicUsize::new(0), Mutex::new(None::<(usize, RunError)>));
     rayon::broadcast(|_| {
         while let Some(&place) = order.get(next.fetch_add(1, Ordering::Relaxed)) {

@@ -127,7 +127,7 @@ impl<'a> SectionBuilder<'a> {
         self.panels(part, title, &panels, &labels, more);
     }
 
-    /// Adds a figure of panels. Its caption is the title, what `more` there is to say, and what the marks are.
+    /// Adds a figure of panels. Its caption is the title, `more`, and the meaning of the marks.
     pub fn panels(&mut self, part: &str, title: &str, panels: &[Dots], labels: &[String], more: &str) {
         let marks = match self.has_several_seeds() {
             true if panels.iter().any(|panel| panel.quantity.unit == "%") => {
@@ -141,7 +141,7 @@ impl<'a> SectionBuilder<'a> {
     }
 
     /// Adds a figure of a quantity by direction, with a panel for each group. The conditions of a group are in the order of the
-    /// `directions`, which divide the circle evenly, once or several times. The caption is the title and what `more` there is to say.
+    /// `directions`, which divide the circle evenly, once or several times. The caption is the title and `more`.
     pub fn polar(
         &mut self,
         part: &str,

@@ -11,7 +11,7 @@ pub struct SectionContent {
     pub claims: Vec<Claim>,
     pub tables: Vec<Table>,
     pub figures: Vec<Figure>,
-    /// The points of figures that no table has.
+    /// The points of figures that are in no table.
     pub lines: Vec<Lines>,
     pub notes: Vec<String>,
 }

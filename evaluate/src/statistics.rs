@@ -1,11 +1,10 @@
 /*! Means over seeds, paired differences with intervals, and verdicts on claims.
 
-A cell of a table is the mean ± standard deviation over seeds, as in the paper. Both methods saw the same trials, so a
-difference is formed seed by seed; its 95 % interval is a bootstrap over these pairs. With few pairs the interval of a percentile
-bootstrap is too narrow, so its percentiles are moved outwards until normally distributed numbers would give the interval of
-Student's t (the *expanded* percentile interval of T. C. Hesterberg, What Teachers Should Know About the
-Bootstrap, The American Statistician 69, 2015). With fewer than five pairs no percentile is far
-enough out, and all pairs have the same sign too often by chance: there is no interval and no verdict.
+A cell of a table is the mean ± standard deviation over seeds, as in the paper. Both methods saw the same trials, so a difference is formed
+seed by seed; its 95 % interval is a bootstrap over these pairs. With few pairs the interval of a percentile bootstrap is too narrow. So its
+percentiles are moved outwards until normally distributed numbers would give the interval of Student's t (the *expanded* percentile interval
+of T. C. Hesterberg, What Teachers Should Know About the Bootstrap, The American Statistician 69, 2015). With fewer than five pairs no
+percentile is far enough out, and all pairs have the same sign too often by chance: there is no interval and no verdict.
 */
 
 use std::collections::BTreeMap;
@@ -197,7 +196,7 @@ pub fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
     (count > 0).then(|| sum / f64::from(count))
 }
 
-/// The expected side of the first set's number, seen from the second's: that of the paper, where it has the experiment.
+/// The expected relation of the first set's number to the second's: that of the paper, if it has the experiment.
 #[derive(Clone, Copy)]
 pub enum Expected {
     Higher,
@@ -222,9 +221,9 @@ pub enum Verdict {
     Unpaired,
     /// A number is missing on one side or both.
     Undefined,
-    /// Both sets keep a bound.
+    /// Both sets are below a bound.
     Holds,
-    /// A set breaks a bound.
+    /// A set is not below a bound.
     Fails,
 }
 

@@ -56,8 +56,8 @@ impl<'a> Study<'a> {
         progress(&jobs)
     }
 
-    /// Adds all finished experiments to a report, and returns the faults of trials. It includes what other processes have measured
-    /// meanwhile; the last process reports everything.
+    /// Adds all finished experiments to a report, and returns the faults of trials. It includes experiments that other processes have
+    /// measured meanwhile, so the last process reports everything.
     ///
     /// # Errors
     /// A scenario file inside the program is invalid, which a test rules out.

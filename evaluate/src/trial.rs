@@ -148,7 +148,7 @@ impl<'a> Trial<'a> {
 ///
 /// `experiment` is the number of the experiment, `condition` the index of the condition.
 pub fn trial_seed(seed: u64, experiment: u32, condition: usize, trial: u32) -> u64 {
-    // Counter 0 is the scenarios' own.
+    // Counter 0 is reserved for the scenarios.
     let condition = u64::from(experiment) << 32 | (1 + condition as u64);
     stream(seed, Purpose::Scenario, condition, 1 + u64::from(trial)).random()
 }
@@ -158,8 +158,8 @@ fn vary(scenario: &Scenario, seed: u64) -> Scenario {
     scenario.later(PHASE_S * stream(seed, Purpose::Scenario, 0, 2).random_range(0.0..1.0))
 }
 
-/// Returns the scenario and the script of a trial; none if the policy does not support its compliance, which is that behind the
-/// policy's name where the condition commands none.
+/// Returns the scenario and the script of a trial; none if the policy does not support the commanded compliance: that of the condition,
+/// else C of the policy's `NAME@C`.
 pub(crate) fn set_up(
     condition: &Condition,
     seed: u64,
@@ -175,8 +175,8 @@ pub(crate) fn set_up(
 /// A beginning that is played once, by the first trial that needs it.
 type SharedBeginning = Arc<OnceLock<Option<Beginning>>>;
 
-/// Undisturbed beginnings that trials of one policy share: a script without its disturbances, and what comes of it until the
-/// latest moment at which one of them may be disturbed; `None` if something happens before.
+/// Undisturbed beginnings that trials of one policy share: a script without disturbances, and its playback until the latest time at which a
+/// trial may be disturbed. It is `None` if an event occurs in it, such as a fall.
 #[derive(Debug, Default)]
 pub struct Beginnings(Mutex<Vec<(Script, SharedBeginning)>>);
 
@@ -186,7 +186,7 @@ impl Beginnings {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).clear();
     }
 
-    /// Plays a trial's playback to its end, from the beginning that other trials have in common with it.
+    /// Plays a trial to its end, from the beginning that it shares with other trials.
     fn trace(
         &self,
         playback: Playback<'_>,
@@ -210,7 +210,7 @@ impl Beginnings {
                 }
             }
         };
-        // Trials of a condition begin within the same time of each other.
+        // The disturbances of a condition's trials start within this time of each other.
         let undisturbed = Script { duration_s: first_s + PHASE_S, ..same };
         let play = || {
             let playback = Playback::new(&undisturbed, &agent.config, agent.controller()).ok()?;
@@ -243,9 +243,8 @@ pub fn play_at(
     play(experiment, &conditions[condition], seed, agent, sensing, beginnings)
 }
 
-/// Plays a trial of an experiment; the compliance behind the policy's name is commanded where the condition requires none.
-/// On the true state, where nothing is random before the disturbance, trials share `beginnings` of the same policy and experiment,
-/// which gives the same bits sooner.
+/// Plays a trial of an experiment; a condition without a commanded compliance uses C of the policy's `NAME@C`. On the true state, nothing
+/// is random before the disturbance: trials share `beginnings` of the same policy and experiment, which is faster and gives the same bits.
 fn play(
     experiment: &dyn Experiment,
     condition: &Condition,
@@ -317,7 +316,7 @@ mod tests {
             let name = experiment.info().name;
             let beginnings = Beginnings::default();
             agent.commanded_compliance = (name == "leash").then_some(0.03);
-            // Balls and blocks are slow, and nothing comes at a time there.
+            // Balls and blocks are slow to simulate and have no disturbance at a fixed time.
             let conditions = experiment.conditions().unwrap();
             let timed = |it: &&Condition| !matches!(it.scenario, Scenario::BallPit(_) | Scenario::Rubble(_));
             for (seed, condition) in conditions.iter().filter(timed).take(2).enumerate() {

@@ -270,7 +270,7 @@ fn report_page_opens_in_a_browser() {
     let summary = place.summary("report");
     let notes = |name: &str| experiment(&summary, name)["notes"].to_string();
     let of_all = summary["notes"].to_string();
-    assert!(of_all.contains("standing, seed 0, does not walk at its command: its velocity error is 0.50 m/s"));
+    assert!(of_all.contains("standing, seed 0, does not follow its command: its velocity error is 0.50 m/s"));
     assert!(of_all.contains("falling, seed 0, falls without any disturbance"), "{of_all}");
     assert!(notes("box").contains("falling fell in every trial"));
     for (name, condition, quantity, set, expected) in [
@@ -554,7 +554,7 @@ fn set_with_commanded_compliance_is_measured_apart() {
 
     for (path, expected) in [
         ("policies/compliant@0.06", "policies/compliant-seed0.safetensors: compliance 0.06 m/s/N is out of range"),
-        ("policies/baseline@0.03", "policies/baseline-seed0.safetensors: how far it yields has not been measured"),
+        ("policies/baseline@0.03", "policies/baseline-seed0.safetensors: its compliance has not been measured"),
         ("policies/nobody@0.03", "there is no policy 'policies/nobody'"),
     ] {
         for sets in [&["--also", &format!("soft={path}")][..], &["--a", path, "--b", "policies/baseline"]] {

@@ -6,7 +6,7 @@
 
 #include "guard.h"
 
-// What is needed of EGL 1.5. Its headers are not, so that nothing has to be installed to build.
+// The used part of EGL 1.5, declared here so that the build does not need its headers.
 enum {
   EGL_PBUFFER_BIT = 1,
   EGL_OPENGL_BIT = 8,

@@ -1,6 +1,6 @@
 // MuJoCo reports fatal errors through a global handler that must not return: the default one waits
 // for a key and exits the process. Here the handler jumps back to the guarded call that is running on
-// this thread. Only frames of MuJoCo's C engine lie in between, which hold nothing to unwind, but for
+// this thread. Only frames of MuJoCo's C engine lie in between, which hold nothing to unwind, except in
 // mj_loadXML: its compiler is C++ and catches errors itself, its reader holds a lock. An error that comes
 // from there (memory has run out) leaves the lock held, and no other file can be read.
 

@@ -25,7 +25,7 @@ use supple::util::memory::{FreeMemory, gibibytes};
 
 use crate::failure::{apart, failed, refused};
 
-/// Number of environments created between two checks for Ctrl-C; so few fit into any machine.
+/// Number of environments created between two checks for Ctrl-C; any machine has memory for so few.
 const MADE: usize = 64;
 
 /// The autoreset modes of Gymnasium.
@@ -150,7 +150,7 @@ impl Environments {
     ) -> PyResult<Self> {
         let autoreset = Autoreset::named(autoreset)?;
         let threads = threads.min(num_envs);
-        // A robot of one's own takes seconds to read.
+        // The robot of a file takes seconds to read.
         let (config, shared) = apart(py, || {
             let config = Config::load(config).map_err(refused)?;
             let shared = Shared::new(&config).map_err(refused)?;
@@ -211,8 +211,7 @@ impl Environments {
     /// A fall is a termination; a time limit is a truncation, and so is a physics fault, whose message is the last item of the
     /// finished episodes.
     fn step<'py>(&self, py: Python<'py>, actions: PyReadonlyArray2<'py, f32>) -> PyResult<Stepped<'py>> {
-        // Another thread of Python could write into the array while this one goes without the lock: the actions, which
-        // are small, are copied.
+        // Without the lock, another thread of Python could write into the array: the actions, which are small, are copied.
         let actions = actions.as_slice()?.to_vec();
         let (observations, critic, outcomes) = self.with(py, move |world| {
             assert_eq!(actions.len(), world.environments.len() * JOINTS, "numbers in the actions");
@@ -307,7 +306,7 @@ impl Environments {
         let bound = |side: usize, sign: f64| -> Vec<f32> {
             let of = |joint: usize| {
                 let beyond = sign * self.shared.robot.torque_limits[joint] / simulation.kp_n_m_per_rad.joints()[joint];
-                // A joint without limits: a turn about where it stands.
+                // A joint without limits may turn once about its nominal angle.
                 let limit = Some(self.shared.robot.joint_limits[joint][side]).filter(|limit| limit.is_finite());
                 let limit = limit.unwrap_or_else(|| nominal[joint] + sign * std::f64::consts::TAU);
                 ((limit + beyond - nominal[joint]) / action.scale_rad) as f32
@@ -369,7 +368,7 @@ impl Environments {
             Ok(slot) => slot,
             Err(TryLockError::Poisoned(slot)) => slot.into_inner(),
             Err(TryLockError::WouldBlock) => {
-                let problem = "another thread is at work on these environments: give each its own";
+                let problem = "another thread is using these environments: give each thread its own";
                 return Err(PyRuntimeError::new_err(problem));
             }
         };

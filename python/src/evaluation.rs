@@ -82,7 +82,7 @@ struct Work<'a> {
     policy: &'a Policy,
     seed: u64,
     sensing: Sensing,
-    /// None for functions, which are asked once for each step.
+    /// None for functions, which must be called once for each step.
     beginnings: Option<Beginnings>,
 }
 
@@ -123,7 +123,7 @@ impl Work<'_> {
 
     fn trial(&self, index: usize) -> PyResult<Sample> {
         let Work { experiment, conditions, policy, seed, sensing, beginnings } = self;
-        // A policy function may raise, and then the sample is void.
+        // The sample is invalid if a policy function has raised.
         let sample =
             trial::play_at(index, *experiment, conditions, *seed, &policy.agent, *sensing, beginnings.as_ref());
         policy.check()?;
@@ -172,7 +172,7 @@ pub fn compare(
     Ok(summary::json(&report))
 }
 
-/// Does work on a thread of its own; Ctrl-C sets `stop` and wins over what the work returns.
+/// Does work on a thread of its own; Ctrl-C sets `stop`, and its exception replaces the result.
 fn interruptibly<T: Send>(stop: &AtomicBool, work: impl FnOnce() -> PyResult<T> + Send) -> PyResult<T> {
     std::thread::scope(|scope| {
         let worker = scope.spawn(work);

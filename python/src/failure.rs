@@ -29,7 +29,7 @@ pub fn apart<T: Send>(py: Python<'_>, work: impl FnOnce() -> PyResult<T> + Send)
 /// Returns the message of a panic.
 fn words(panic: &(dyn Any + Send)) -> &str {
     let text = panic.downcast_ref::<String>().map(String::as_str);
-    text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("a panic without words")
+    text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("a panic without a message")
 }
 
 /// Panics inside [`apart`], to test that a panic becomes an exception.

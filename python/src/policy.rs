@@ -21,7 +21,7 @@ type Raised = Arc<Mutex<Option<PyErr>>>;
 pub struct Policy {
     pub(crate) name: String,
     pub(crate) agent: Agent,
-    /// The exception raised by the function; `None` for a policy that is no function.
+    /// The exception raised by the function; `None` for other policies.
     raised: Option<Raised>,
 }
 
@@ -138,8 +138,7 @@ fn act(function: &Py<PyAny>, seen: &[f32], raised: &Raised) -> [f32; JOINTS] {
     })
 }
 
-/// Calls the function once, after a check for Ctrl-C. The Python half of the package has made sure that the answer is twelve
-/// finite numbers.
+/// Calls the function once, after a check for Ctrl-C. The Python half of the package has checked that it returns twelve finite numbers.
 fn call(py: Python<'_>, function: &Py<PyAny>, seen: &[f32]) -> PyResult<[f32; JOINTS]> {
     py.check_signals()?;
     let answer = function.bind(py).call1((PyArray1::from_slice(py, seen),))?;

@@ -20,7 +20,7 @@ fn main() -> anyhow::Result<()> {
     film(folder.join("push.webp"), "pushed sideways", (&push, 0, 0.5), ["compliant", "baseline"], None)?;
     let rubble = Scenario::named("rubble", "{duration_s: 4.5}")?;
     let hand = Pull::constant([1.2, 3.5], [0.0, 20.0]);
-    // In the layout of seed 0 both fall when they are pulled as hard.
+    // With seed 0, both fall under the same pull.
     film(folder.join("hand.webp"), "pulled among rubble", (&rubble, 4, 0.0), ["baseline@0.03", "baseline"], Some(hand))
 }
 

@@ -28,7 +28,7 @@ pub(super) fn send(recording: &RecordingStream, robots: &[&str], shown: Shown, i
     let (store, memory) = RecordingStreamBuilder::new(APPLICATION).enabled(true).blueprint().memory()?;
     let logged = log(&store, robots, shown, is_live);
     let messages = memory.take();
-    // The sink holds the store that holds it: neither would ever be dropped, nor end its threads.
+    // The sink and the store refer to each other: without this, neither would be dropped, nor its threads end.
     store.disconnect();
     logged?;
     let id = messages.iter().find_map(|message| match message {

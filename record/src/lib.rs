@@ -51,7 +51,7 @@ pub enum RecordError {
     Write(String, String),
     /// The frame of this robot belongs to another scene: it has other bodies than the model.
     #[error("a frame of {robot} has {found} bodies, its model {expected}; record with the scene's own visual model")]
-    #[allow(missing_docs)] // the message says them
+    #[allow(missing_docs)] // the message names them
     Bodies { robot: String, expected: usize, found: usize },
     /// There is no robot of this index among so many.
     #[error("there is no robot {0} in this recording of {1}")]
@@ -102,7 +102,7 @@ impl<'a> RobotView<'a> {
     }
 }
 
-/// Records a finished playback, which has its bodies, in a file.
+/// Records a finished playback, whose frames have bodies, in a file.
 ///
 /// # Errors
 /// The file cannot be written, or the model has no trunk.
@@ -169,8 +169,7 @@ impl Recorder {
         robot.event(stream, event)
     }
 
-    /// Adds what a step has brought of a robot, given by its index in the robots of [`Recorder::new`]: a frame, if there is one, and events
-    /// that belong to it.
+    /// Adds a step of a robot, given by its index in the robots of [`Recorder::new`]: a frame, if there is one, and its events.
     ///
     /// # Errors
     /// There is no such robot, the frame does not fit its model, or the recording has failed: the disk is full, or the viewer has
@@ -211,7 +210,7 @@ impl Recorder {
                 self.event(robot, event)?;
             }
         }
-        // There is no frame where physics failed at once.
+        // There is no frame if physics failed in the first step.
         events.try_for_each(|event| self.event(robot, event))
     }
 

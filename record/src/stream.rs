@@ -61,7 +61,7 @@ pub fn check_name(path: &Path) -> Result<()> {
     let problem = match Target::of(path).map_err(cannot_create(path))? {
         Target::Output => "a recording cannot go to standard output: name a file".to_owned(),
         Target::File(_) if path.extension().is_none_or(|ending| !ending.eq_ignore_ascii_case("rrd")) => format!(
-            "it is for the rerun viewer (no video, no table) and its name ends with .rrd; name it {}",
+            "it is for the rerun viewer, so its name ends with .rrd; name it {}",
             path.with_extension("rrd").display()
         ),
         Target::File(_) | Target::Stream(_) => return Ok(()),

@@ -150,7 +150,7 @@ fn scenario_tells_how_good_the_estimates_of_a_robot_on_sensors_are() {
     let heights = heights.map(|cell| cell.parse::<f64>().unwrap());
     assert!(heights[0] != heights[1] && (heights[0] - heights[1]).abs() < 0.01, "{heights:?}");
     assert_eq!(true_heights[1], "");
-    // A standing robot knows that it stands.
+    // The estimate of a standing robot has a small error.
     assert!(estimated["runs"][0]["metrics"]["estimate_velocity_rmse_m_s"].as_f64().unwrap() < 0.05);
 }
 
@@ -341,7 +341,7 @@ fn seeds_that_draw_nothing_are_one_trial() {
     let folder = tempfile::tempdir().unwrap();
     let arguments = ["leash", "--policy", "compliant", "--duration-s", "1", "--seeds", "3..5", "--json"];
     let output = run("scenario", folder.path(), &arguments);
-    assert!(complaint(&output).contains("seeds draw nothing in leash"), "{}", complaint(&output));
+    assert!(complaint(&output).contains("the seed changes nothing in leash"), "{}", complaint(&output));
     let found: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(found["seeds"], serde_json::json!([3, 3]));
     let power = &found["runs"][0]["metrics"]["power_w"];

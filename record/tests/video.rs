@@ -130,7 +130,7 @@ fn a_video_that_cannot_be_made_is_refused_and_leaves_no_file() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("file"), "").unwrap();
     let cases: [(&str, &str, &str); 7] = [
-        ("a.avi", "960x540", "a.avi: its name says what it is and ends with .mp4, .webp or .gif; name it a.mp4"),
+        ("a.avi", "960x540", "a.avi: its name must end with .mp4, .webp or .gif; name it a.mp4"),
         ("a", "960x540", "name it a.mp4"),
         ("a.mp4", "961x540", "the size of the video is 961x540 px, expected even numbers from 480x270 to 3840x2160"),
         ("a.mp4", "8000x540", "expected even numbers from 480x270"),

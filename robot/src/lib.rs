@@ -1,9 +1,9 @@
 /*! The Go2's own interface, on both sides of it.
 
-[`serve`] is the robot's side: a simulated Go2 that is as strict as a real one. [`bridge`] is the controller's: a policy of Supple, or
-an external one, on whatever speaks the interface. Both are pure code but for one file each, which puts them on the network
-([`dds`]); [`lockstep`] joins them without one. [`check`] finds out from a log what does not fit between a policy and a robot.
-Messages are in [`message`]; nothing is ever sent on another network interface than the one that is named.
+[`serve`] is the robot's side: a simulated Go2 that is as strict as a real one. [`bridge`] is the controller's: a policy of Supple, or an
+external one, on whatever speaks the interface. On either side, one file connects to the network ([`dds`]), and the rest is free of it;
+[`lockstep`] joins both sides without a network. [`check`] finds mismatches between a policy and a robot in a log. Messages are in
+[`message`]; nothing is ever sent on another network interface than the one that is named.
 */
 
 pub mod bridge;

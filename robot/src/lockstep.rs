@@ -1,4 +1,4 @@
-/*! The bridge and the simulated robot joined without a network, tick by tick: the same code on both sides, as fast as the machine,
+/*! The bridge and the simulated robot joined without a network, tick by tick: the same code on both sides, as fast as the machine allows,
 and with the same result each time. */
 
 use std::sync::Arc;

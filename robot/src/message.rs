@@ -1,8 +1,8 @@
 /*! The messages of the Go2's low-level interface, and the checksum that guards them.
 
-One declaration gives each message its DDS type, its C layout, over which the checksum runs, and its CDR, the encoding in which
-DDS and ROS 2 send and record it. Joints and feet have Supple's order (FR, FL, RR, RL;
-hip, thigh, calf), which is Unitree's; entries 12 to 19 of the motors are unused.
+One declaration gives each message its DDS type, its C layout (for the checksum) and its CDR, the encoding in which DDS and ROS 2 send and
+record it. Joints and feet have Supple's order (FR, FL, RR, RL; hip, thigh, calf), which is Unitree's; entries 12 to 19 of the motors are
+unused.
 */
 
 use dust_dds::infrastructure::type_support::DdsType;
@@ -26,7 +26,7 @@ pub const POS_STOP: f32 = 2.146e9;
 /// Joint rate target that means "no velocity control".
 pub const VEL_STOP: f32 = 16_000.0;
 
-/// How the bytes of a message lie: numbers are aligned by their size in both.
+/// The layout of a message's bytes: both align numbers by their size.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Layout {
     /// As a C compiler lays a struct out: structs begin and end on their alignment.
@@ -129,7 +129,7 @@ macro_rules! messages {
         $(#[$about])*
         #[derive(DdsType, Debug, Clone, PartialEq)]
         #[dust_dds(name = $dds)]
-        #[allow(missing_docs)] // what the fields are stands beside them
+        #[allow(missing_docs)] // comments beside the fields describe them
         pub struct $name { $(pub $field: $t),* }
         impl Field for $name {
             const ALIGN: usize = $align;

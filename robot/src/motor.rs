@@ -4,7 +4,7 @@ use supple::robot::{JOINTS, Joints};
 
 use crate::message::{Field, MotorCmd, POS_STOP, SERVO, VEL_STOP};
 
-/// Derivative gain of a robot that sinks to the ground because nothing else is wanted [N·m·s/rad].
+/// Derivative gain of damping, with which the robot sinks to the ground [N·m·s/rad].
 const DAMPING_KD: f32 = 3.0;
 
 /// Values from this one on stand for [`POS_STOP`]; in single precision 2.146e9 is not exact.

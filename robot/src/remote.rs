@@ -72,7 +72,7 @@ impl FullSticks {
     /// Checks that a velocity (forward, left, yaw) is within the range, up to a rounding error.
     ///
     /// # Errors
-    /// Says which part of it is beyond.
+    /// Names the number that is outside the range.
     pub fn check(&self, velocity: [f64; 3]) -> Result<(), String> {
         let parts = [("forward", "m/s"), ("left", "m/s"), ("yaw", "rad/s")].into_iter().zip(velocity).zip(self.0);
         let beyond = |((_, found), most): &((_, f64), f64)| found.is_nan() || found.abs() > most + ROUNDING;

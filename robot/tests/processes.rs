@@ -17,7 +17,7 @@ const ROBOT: &str = env!("CARGO_BIN_EXE_robot");
 /// Time after which a test gives up; the machine may be busy.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// A DDS domain of this test's own, whose ports are below those that systems give to anyone.
+/// A DDS domain for this test alone, whose ports are below the ephemeral ones.
 fn domain() -> String {
     static NEXT: AtomicU32 = AtomicU32::new(0);
     (2 + (8 * std::process::id() + NEXT.fetch_add(1, Ordering::Relaxed)) % 96).to_string()
@@ -103,7 +103,7 @@ impl Pair {
     }
 }
 
-/// Serves a robot for some seconds; the function waits for the end, and returns what is told of the client.
+/// Serves a robot for some seconds; the function waits for the end, and returns the summary's part about the client.
 fn served(domain: &str, arguments: &[&str]) -> impl FnOnce() -> serde_json::Value + use<> {
     let mut command = Command::new(ROBOT);
     command.args(["serve", "--domain", domain, "--json"]).args(arguments).stdout(Stdio::piped()).stderr(Stdio::null());

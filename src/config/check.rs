@@ -31,7 +31,7 @@ pub const MAX_EPOCHS: usize = 1000;
 /// Largest number of samples of a run, and of iterations between two checkpoints: a thousand years of training.
 pub const MAX_SAMPLES: u64 = 1_000_000_000_000_000;
 
-/// Largest weight and gain, which no sensible one comes near to.
+/// Largest weight and gain, far above sensible ones.
 const MAX_WEIGHT: f64 = 1e6;
 
 /// Largest angle of the nominal pose \[rad\].
@@ -88,7 +88,7 @@ impl Config {
                 let (value, learner) = (value.trim_end(), learner.trim_end());
                 let other = if ppo.learner == LearnerKind::Fused { "candle" } else { "fused" };
                 let problem = format!(
-                    "is {value}, which ppo.learner: {learner} does not know: leave the key out, or set ppo.learner: {other}"
+                    "is {value}, which ppo.learner: {learner} does not use: leave the key out, or set ppo.learner: {other}"
                 );
                 return Err(ValueError::Range { key: format!("ppo.{key}"), problem });
             }
@@ -139,7 +139,7 @@ pub fn gains_not_negative(gain: &PerJoint, _: &Config) -> garde::Result {
 
 /// The weight of a cost.
 pub fn cost(value: &f64, _: &Config) -> garde::Result {
-    let expected = format!("a number not above zero, from -{MAX_WEIGHT}: what is weighted is a cost");
+    let expected = format!("a number not above zero, from -{MAX_WEIGHT}: it is the weight of a cost");
     require((-MAX_WEIGHT..=0.0).contains(value), value, expected)
 }
 

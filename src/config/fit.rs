@@ -18,8 +18,8 @@ Of two robots of one shape, let the second be λ times as tall and μ times as h
 | `held_feet.stiffness_n_per_m` | μ / λ |
 | `reward.reference_m_s_per_n` | 1 / μ |
 
-Physics may have to be faster for a light robot, whose joints feel less inertia than their gains can be held at: a joint of inertia I
-under a PD law is stable in MuJoCo's steps of length h if 2 K_d h + K_p h² < 4 I. The rate is doubled until it is, with a reserve.
+Physics may have to be faster for a light robot, whose joints have too little inertia for their gains: a joint of inertia I under a PD law
+is stable in MuJoCo's steps of length h if 2 K_d h + K_p h² < 4 I. The rate is doubled until it is, with a reserve.
 
 The pose is the robot's own. A policy explores at least as widely as with `ppo.initial_log_std` −0.5, since a robot that
 these numbers fit less well would otherwise learn to stand still before it learns to walk. Commands, pushes, slopes,
@@ -107,15 +107,15 @@ impl Config {
     }
 }
 
-/// Largest part of the bound of stability that a physics step may take. Near the bound, a standing robot of 11 kg takes 3 % more power
-/// than with steps that are four times as short, beyond it, one of 1.7 kg takes 80 times as much; the rest is for other poses.
+/// Largest part of the bound of stability that a physics step may take. Near the bound, a standing robot of 11 kg takes 3 % more power than
+/// with steps a quarter as long; beyond it, one of 1.7 kg takes 80 times as much. The margin is for other poses.
 const LARGEST_PART: f64 = 0.75;
 
 /// Fastest physics \[Hz\].
 const FASTEST_HZ: u32 = 20_000;
 
 impl Simulation {
-    /// Doubles the physics rate until it holds the gains on joints that feel an inertia [kg·m²].
+    /// Doubles the physics rate until the gains are stable for joints of an inertia [kg·m²].
     fn hold_gains(&mut self, inertia: f64) -> Result<(), String> {
         let part = |simulation: &Simulation| {
             let (kp, kd) = (simulation.kp_n_m_per_rad.largest(), simulation.kd_n_m_s_per_rad.largest());
@@ -125,8 +125,8 @@ impl Simulation {
         while part(self).is_nan() || part(self) > LARGEST_PART {
             if self.physics_rate_hz > FASTEST_HZ / 2 {
                 return Err(format!(
-                    "its joints feel an inertia of {inertia:.1e} kg m² at least, too little for K_p {} N m/rad and K_d {} N m s/rad at \
-                     {FASTEST_HZ} Hz: give its joints their rotors' armature",
+                    "the least inertia at its joints is {inertia:.1e} kg m², too little for K_p {} N m/rad and K_d {} \
+                     N m s/rad at {FASTEST_HZ} Hz: give its joints their rotors' armature",
                     self.kp_n_m_per_rad, self.kd_n_m_s_per_rad
                 ));
             }
@@ -150,7 +150,7 @@ impl Config {
 fn symmetric(robot: &Robot) -> Joints {
     std::array::from_fn(|joint| {
         let (image, sign) = robot.mirrored(joint);
-        // Without −0, which is not what a file says.
+        // Adding zero turns −0 into 0.
         (robot.nominal_pose[joint] + sign * robot.nominal_pose[image]) / 2.0 + 0.0
     })
 }

@@ -19,7 +19,7 @@ pub struct Merged {
     pub value: Value,
     /// Texts that the keys come from, the overriding one first.
     pub texts: Vec<Text>,
-    /// Notes about what the author of a text may not have meant.
+    /// Notes about possible mistakes in a text.
     pub notes: Vec<String>,
 }
 
@@ -68,7 +68,7 @@ impl Merged {
         }
         let mut whole = self.read(base, path.parent().unwrap_or(folder), bases_left - 1)?;
         let notes = resolve_lists(Some(&whole), &mut value, &text)?;
-        // What shipped configurations drop is meant.
+        // Shipped configurations drop quantities on purpose.
         self.notes.extend(notes.into_iter().filter(|_| embedded.is_none()));
         yaml::overlay(&mut whole, value);
         Ok(whole)

@@ -1,11 +1,10 @@
 /*! Configuration of a training run: YAML in, checked types out.
 
-Start with [`Config::load`] and `configs/compliant.yaml`, then read the sections ([`Config`] and its fields). Every
-number of the paper's section III, Table II and Table III is a key without a default in code, except Adam's two decay rates.
-Keys beyond the paper have defaults that change nothing, so that policies and checkpoints, which contain their configuration,
-remain readable; keys that stand at their default are not saved, so that programs that do not know them can read the rest.
-A file may name another one as its `base` and state only the differences: the baseline differs in one key from the compliant
-policy.
+Start with [`Config::load`] and `configs/compliant.yaml`, then read the sections ([`Config`] and its fields). Every number of the paper's
+section III, Table II and Table III is a key without a default in code, except Adam's two decay rates. Keys beyond the paper have defaults
+that change nothing, so that policies and checkpoints, which contain their configuration, remain readable; keys at their default are not
+saved, so that programs that lack them can read the rest. A file may name another one as its `base` and state only the differences: the
+baseline differs in one key from the compliant policy.
 */
 
 mod check;
@@ -117,8 +116,8 @@ pub struct Config {
     /// The entries of the observation, in order.
     #[garde(skip)]
     pub observation: Vec<Observed>,
-    /// The entries that the critic observes in addition to the policy's observation, from the true state; they may be
-    /// quantities that only the simulator knows. None if the list is missing.
+    /// The entries that the critic observes in addition to the policy's observation, from the true state; they may be quantities that only
+    /// the simulator has. None if the list is missing.
     #[serde(default)]
     #[garde(skip)]
     pub critic_observation: Vec<Observed>,
@@ -206,7 +205,7 @@ impl Config {
         Ok(Self::load_with_notes(name_or_path, changes)?.0)
     }
 
-    /// Loads a configuration like [`Config::load_with`], and returns notes about what its author may not have meant.
+    /// Loads a configuration like [`Config::load_with`], and returns notes about possible mistakes.
     ///
     /// # Errors
     /// Those of [`Config::load_with`].
@@ -334,7 +333,7 @@ mod tests {
             (
                 "energy: -0.015",
                 "energy: 0.015",
-                "config test: reward.energy is 0.015, expected a number not above zero, from -1000000: what is weighted is a cost",
+                "config test: reward.energy is 0.015, expected a number not above zero, from -1000000: it is the weight of a cost",
             ),
         ];
         for (from, to, message) in cases {
@@ -387,14 +386,14 @@ mod tests {
                 "ppo.hidden_layers=[4096, 4096]",
                 "ppo.hidden_layers is [4096, 4096], a policy of 65.5 MiB, expected at most 56 MiB",
             ),
-            ("observation=[{quantity: friction}]", "entry 1 (friction): only the simulator knows it"),
+            ("observation=[{quantity: friction}]", "entry 1 (friction): only the simulator has it"),
             (
                 "critic_observation=[{quantity: friction, scale: 0}]",
                 "critic_observation: observation, entry 1 (friction)",
             ),
             (
                 "ppo={learner: candle, shards: 4}",
-                "ppo.shards is 4, which ppo.learner: candle does not know: leave the key out, or set ppo.learner: fused",
+                "ppo.shards is 4, which ppo.learner: candle does not use: leave the key out, or set ppo.learner: fused",
             ),
             ("ppo.epoch=4", "unknown field `epoch`"),
             ("epochs=4", "unknown field `epochs`"),

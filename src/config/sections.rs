@@ -65,7 +65,7 @@ pub struct Simulation {
     /// Proportional gain `K_p` of the PD controller [N·m/rad].
     #[garde(custom(gains_not_negative))]
     pub kp_n_m_per_rad: PerJoint,
-    /// `K_d` [N·m·s/rad].
+    /// Derivative gain `K_d` of the PD controller [N·m·s/rad].
     #[garde(custom(gains_not_negative))]
     pub kd_n_m_s_per_rad: PerJoint,
     /// Delay of the joint target \[s\].
@@ -164,7 +164,7 @@ pub struct Action {
     /// [`crate::robot::LEGS`].
     #[garde(custom(finite_angles))]
     pub nominal_pose_rad: PerJoint,
-    /// \[rad\] per unit of action.
+    /// Change of the joint target per unit of action \[rad\].
     #[garde(custom(positive(100.0)))]
     pub scale_rad: f64,
 }
@@ -180,7 +180,7 @@ pub struct CommandRange {
     /// Largest velocity to the left, `v_x*` of the paper [m/s].
     #[garde(custom(within(0.0..=100.0, " m/s")))]
     pub left_m_s: f64,
-    /// `ω_y*` of the paper [rad/s].
+    /// Largest yaw rate, `ω_y*` of the paper [rad/s].
     #[garde(custom(within(0.0..=100.0, " rad/s")))]
     pub yaw_rad_s: f64,
     /// Fraction of the range that is open at first.
@@ -194,7 +194,7 @@ pub struct CommandRange {
     pub fraction_gate: f64,
 }
 
-/// Section III-C and III-D.
+/// Stages, pushes, slopes and falls of an episode (sections III-C and III-D).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Validate)]
 #[serde(deny_unknown_fields)]
 #[garde(context(Config))]
@@ -211,7 +211,7 @@ pub struct Episode {
     /// True replaces the tracking rewards in the recovery stage; false gives the baseline.
     #[garde(skip)]
     pub recovery_stage: bool,
-    /// Mean `r_lin` of an iteration's walking stages above which episodes go on to the push, from then on.
+    /// Mean `r_lin` of an iteration's walking stages above which episodes continue to the push, from then on.
     #[garde(custom(fraction))]
     pub push_gate: f64,
     /// Largest push along forward and left [m/s].
@@ -281,7 +281,7 @@ pub struct HeldFeet {
     pub gap_s: [f64; 2],
 }
 
-/// Table II and equations 1–3.
+/// Weights, targets and sharpnesses of the reward (Table II and equations 1 to 3).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Validate)]
 #[serde(deny_unknown_fields)]
 #[garde(context(Config))]
@@ -331,7 +331,7 @@ pub struct Reward {
     pub reference_m_s_per_n: Option<[f64; 2]>,
 }
 
-/// Section IV-D, and what else differs between a simulated and a real robot.
+/// Randomised differences between a simulated and a real robot: those of section IV-D, and others.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Validate)]
 #[serde(deny_unknown_fields)]
 #[garde(context(Config))]

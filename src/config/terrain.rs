@@ -38,7 +38,7 @@ pub struct Terrain {
     /// Height of the highest boxes on the first and on the last level \[m\].
     #[garde(custom(low_and_high))]
     pub boxes_m: [f64; 2],
-    /// Factor of `reward.tracking_sharpness` on uneven ground: below 1, tracking is paid more loosely there.
+    /// Factor of `reward.tracking_sharpness` on uneven ground: below 1, tracking errors cost less there.
     #[garde(custom(fraction))]
     pub sharpness_factor: f64,
 }

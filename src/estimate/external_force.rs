@@ -1,4 +1,4 @@
-/*! The force that acts on the trunk from outside, and the force on each foot, felt through the balance of momentum.
+/*! The felt forces: estimates of the external force on the trunk and of the force on each foot, by the balance of momentum.
 
 A trunk with four legs of three hinges has 18 equations of motion. Four foot forces `f` (12 unknowns) and a wrench `w` on
 the trunk (6 unknowns) are all that comes from outside, so that the equations determine them:
@@ -8,18 +8,17 @@ leg i:  J_iᵀ f_i = r_i                  r = M(q) a + h(q, v) + d(v) − Sᵀ �
 trunk:  w = r_base − Σ J_base,iᵀ f_i
 ```
 
-`M a + h` is MuJoCo's recursive Newton-Euler algorithm on a model of the robot alone; armature and joint losses `d` (damping
-times rate; dry friction, smoothed below 0.05 rad/s) are added. `J_i` is that of the point where the sphere of the foot
-would touch the ground: the plane along the lines between feet that carried weight together, over the last half second.
-All of it is written in the trunk's frame at the origin, at rest but for its rotation: the
-equations are the same in every frame that moves uniformly, and gravity is an acceleration of the frame. The
-accelerometer's specific force, brought from the IMU to the trunk's origin, thus stands for base acceleration and gravity
-together. Neither velocity nor height of the base is needed, and a wrong orientation turns the result but is not taken for
-a force. What touches a thigh or shin counts in part as a force on the foot, in part as one on the trunk.
+`M a + h` is MuJoCo's recursive Newton-Euler algorithm on a model of the robot alone; armature and joint losses `d` (damping times rate; dry
+friction, smoothed below 0.05 rad/s) are added. `J_i` is that of the point where the sphere of the foot would touch the ground: the plane
+along the lines between feet that carried weight together, over the last half second. All of it is written in the trunk's frame at the
+origin, at rest except for its rotation: the equations are the same in every frame that moves uniformly, and gravity is an acceleration of
+the frame. The accelerometer's specific force, brought from the IMU to the trunk's origin, thus stands for base acceleration and gravity
+together. Neither velocity nor height of the base is needed, and a wrong orientation turns the result but is not taken for a force. What
+touches a thigh or shin counts in part as a force on the foot, in part as one on the trunk.
 
-Time stamps. What the simulation does between two readings, k and k+1, is `M(q_k) (v_k+1 − v_k)/Δt + h(q_k, v_k) + D v_k+1 =
-Sᵀ τ_k + …` (semi-implicit Euler, damping implicit). So configuration and `h` are those of the earlier reading, torques those
-that acted between, the specific force is that of the later one (turned back by ω Δt), damping acts on the later rates.
+Time stamps. What the simulation does between two readings, k and k+1, is `M(q_k) (v_k+1 − v_k)/Δt + h(q_k, v_k) + D v_k+1 = Sᵀ τ_k + …`
+(semi-implicit Euler, damping implicit). So configuration and `h` are those of the earlier reading, and torques those between the two. The
+specific force is that of the later one, turned back by ω Δt, and damping acts on the later rates.
 
 Differences and the momentum observer. `w` is linear in the accelerations of joints and trunk: `w_k = A_k (v_k+1 − v_k)/Δt + …`
 with `A = (1, −J_baseᵀ J⁻ᵀ) M`. A first-order low-pass LP of time constant T turns this into
@@ -28,12 +27,11 @@ with `A = (1, −J_baseᵀ J⁻ᵀ) M`. A first-order low-pass LP of time consta
 LP(A v̇) = (A v − LP(A v)) / T − LP(Ȧ v)
 ```
 
-by integration by parts: the residual of De Luca and Mattone's momentum observer, with K = 1/T and A v for the momentum.
-Summation by parts says the same of differences, exactly, with the differences of A for Ȧ. So [`ForceObserver`] multiplies
-differences by `A`, and whoever uses the product filters it ([`ExternalForces::follow`], or the mean over a policy step): it is the
-momentum observer without Ȧ to compute, every term passes the same filter, noise of rates is amplified by 1/T and not by 1/Δt,
-and `A` is always that of its own instant. To filter `r` first and to use `J` of the present would not do: in a walk, the force
-would be off by 7 N instead of 0.02.
+by integration by parts: the residual of De Luca and Mattone's momentum observer, with K = 1/T and A v for the momentum. Summation by parts
+says the same of differences, exactly, with the differences of A for Ȧ. So [`ForceObserver`] multiplies differences by `A`, and the caller
+filters the product ([`ExternalForces::follow`], or the mean over a policy step). This is the momentum observer, but needs no Ȧ: every term
+passes the same filter, and `A` is always that of its own instant. Noise of rates is amplified by 1/T and not by 1/Δt. Filtering `r` first
+and using the present `J` would not be enough: in a walk, the error of the force would be 7 N instead of 0.02 N.
 
 - A. De Luca and R. Mattone, "Sensorless robot collision detection and hybrid force/motion control", ICRA 2005.
 - S. Haddadin, A. De Luca and A. Albu-Schäffer, "Robot collisions: a survey on detection, isolation, and identification",
@@ -252,12 +250,12 @@ impl ForceObserver {
         })
     }
 
-    /// Forgets all readings and forces; to be called after the robot has been put elsewhere.
+    /// Clears all readings and forces; to be called after the robot has been moved to another place.
     pub fn reset(&mut self) {
         self.memory = Memory::default();
     }
 
-    /// Returns the memory, for an observer of the same robot to go on from.
+    /// Returns the memory, from which an observer of the same robot can continue.
     pub(crate) fn memory(&mut self) -> &mut Memory {
         &mut self.memory
     }
@@ -384,7 +382,7 @@ impl ForceObserver {
     }
 }
 
-/// Refuses what is not finite.
+/// Refuses readings that are not finite.
 fn check(reading: &ForceReading, dt_s: f64) -> Result<(), SensorFault> {
     super::check(Some(&reading.imu), Some(&reading.encoders), dt_s)?;
     finite(&reading.torques, |joint| format!("torque of {}", joint_name(joint)))?;
@@ -435,7 +433,7 @@ mod tests {
         // Both diagonals of a stance of 0.4 m by 0.3 m on ground that rises by a tenth along x.
         let normal = ground_normal(&sum(&[[0.4, 0.3, 0.04], [0.4, -0.3, 0.04]]));
         assert!((normal - Vector3::new(-0.1, 0.0, 1.0).normalize()).norm() < 1e-3, "{normal}");
-        // One diagonal alone says nothing across: level there.
+        // One diagonal does not determine the slope across it: level there.
         let normal = ground_normal(&sum(&[[0.4, 0.0, 0.04]]));
         assert!((normal - Vector3::new(-0.1, 0.0, 1.0).normalize()).norm() < 1e-3, "{normal}");
         // A wall.

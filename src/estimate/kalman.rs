@@ -11,19 +11,19 @@ world. Input: the site's acceleration `a = R f + g`. Measurements (28), with `Δ
 
 The main differences from the MIT code, whose noises are not these either:
 
-- The state is the IMU's site and not the trunk's origin, since the accelerometer feels the site. The lever arm then
+- The state is the IMU's site and not the trunk's origin, since the accelerometer measures there. The lever arm then
   enters exactly and needs no angular acceleration.
 - A foot is a sphere that rolls: its centre moves by `Ω × r e_z`, 3 cm/s in a walk at 0.5 m/s. MIT's point foot stands
   still, and the velocity comes out too low by that.
 - Contact is a yes or no, not the phase of a gait that MIT turns into a trust. A foot without contact has no velocity and
-  height rows, and its position is free, so that at touchdown it is where the joints say.
+  height rows, and its position is free, so that at touchdown the joint angles determine it.
 - A foot in contact whose `v_i` fits neither the prediction nor another foot slips, or its flag is wrong: its trust
-  falls below one as the misfit grows, divides the standard deviations of its rows, and weighs the variances of a foot
-  that stands and of one that swings, whose sum lets it go: a trust of 0.99 is enough to free its position.
-- Position is predicted with the acceleration's `½ a dt²` too; horizontal drift is not held back by anything.
+  falls below one as the misfit grows, divides the standard deviations of its rows, and weights the variances of a
+  standing and of a swinging foot. The latter is so large that a trust of 0.99 already frees the foot's position.
+- Position is predicted with the acceleration's `½ a dt²` too; nothing corrects horizontal drift.
 
 No row and no noise couples x, y and z. The 18-state filter thus is three of six states, and uncorrelated rows can be
-taken one by one: a test compares with the filter in one piece.
+taken one by one: a test compares with the whole filter.
 */
 
 use nalgebra::{SMatrix, SVector, Vector3};
@@ -140,7 +140,7 @@ impl KalmanFilter {
         let axes = std::array::from_fn(|axis| {
             let mut state = State::zeros();
             state[0] = site[axis];
-            // The horizontal origin is a choice and has no error. Half a metre per second: it may be picked up walking.
+            // The horizontal origin is a choice and has no error. The speed may be off by 0.5 m/s, as the robot may walk.
             let position_sd = if axis == 2 { noise.foot_height_m } else { 0.0 };
             let mut deviations = State::from_element(noise.swing_walk_m_sqrt_s);
             (deviations[0], deviations[1]) = (position_sd, 0.5);

@@ -135,7 +135,7 @@ fn innovations_match_expected_size_with_own_noise() {
         let [squared, expected] = innovations(linear(), seed);
         // A sum of n squares has mean n and variance 2 n: five standard deviations.
         assert!((squared - expected).abs() < 5.0 * (2.0 * expected).sqrt(), "{squared} {expected}");
-        // As it ships, it mistrusts the few that fit least, and takes them for what they are.
+        // The default filter lowers the trust in the few rows that fit least, which reduces the sum.
         let [squared, expected] = innovations(FilterNoise::default(), seed);
         assert!(squared > 0.9 * expected && squared < expected, "{squared} {expected}");
     }
@@ -152,7 +152,7 @@ fn innovations(noise: FilterNoise, seed: u64) -> [f64; 2] {
     let (mut squared, mut rows) = (0.0, 0);
     for tick in 0..ticks {
         let root = DT_S.sqrt();
-        // The input, which the filter knows, keeps the walk from running away.
+        // The input, which the filter gets, too, keeps the random walk bounded.
         let acceleration = 2.0 * normal(&mut rng) - 2.0 * velocity - position + Vector3::new(0.0, 0.0, 0.3);
         position += DT_S * velocity + 0.5 * DT_S * DT_S * acceleration;
         position += noise.position_walk_m_sqrt_s * root * normal(&mut rng);

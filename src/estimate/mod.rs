@@ -44,7 +44,7 @@ pub enum SensorFault {
     #[error("the time since the last tick is {0} s, expected a positive number")]
     Timestep(f64),
     /// A sensor, `IMU` or `encoders`, has not delivered a first reading.
-    #[error("no reading of the {0} yet: an estimator starts with one of IMU and encoders each")]
+    #[error("no reading of the {0} yet: an estimator needs a first reading of both IMU and encoders")]
     Missing(&'static str),
     /// A sensor has been silent for longer than can be bridged.
     #[error(
@@ -225,7 +225,7 @@ impl Filters {
         let [imu_silent_s, encoders_silent_s] = [&mut self.imu_silent_s, &mut self.encoders_silent_s];
         let sensors = [("IMU", imu.is_some(), imu_silent_s), ("encoders", encoders.is_some(), encoders_silent_s)];
         for (sensor, reads, silent_s) in sensors {
-            // Up to a reading that ends it. A silence beyond the limit never ends: what happened in it is unknown.
+            // Counted up to the reading that ends it. A silence beyond the limit never ends, as the motion in it is unknown.
             *silent_s += dt_s;
             // Sums of ticks are off by rounding.
             if *silent_s > limit_s + 1e-9 {

@@ -14,8 +14,8 @@ Two things differ.
   Hamel and Pflimlin (2008, "Nonlinear Complementary Filters on the Special Orthogonal Group"). The factor makes it
   critically damped, but for the average. Without it a bias leaves a tilt of `b / κ` for good, and the robot drifts aside.
 
-The world frame is aligned with gravity, as an IMU sees it. Yaw starts at zero and drifts with the gyro: nothing on the
-robot measures it.
+The world frame is aligned with gravity, as an IMU measures it. Yaw starts at zero and drifts with the gyro: nothing on the robot measures
+it.
 */
 
 use nalgebra::{UnitQuaternion, Vector3};
@@ -133,7 +133,7 @@ mod tests {
         // Without learning it would stay at 0.18°/s / 0.5 /s = 0.36°.
         assert!(filter.world_from_base().angle().to_degrees() < 0.01, "{}", filter.world_from_base().angle());
         assert!(filter.angular_velocity(&bias).norm() < 0.01 * bias.norm());
-        // More than any IMU's is not believed.
+        // The estimate is limited to the largest bias of an IMU.
         let reading = ImuReading { gyro: Vector3::new(0.1, 0.0, 0.0), ..rest };
         (0..240 * 40).for_each(|_| filter.update(&reading, DT_S, true));
         assert_eq!(filter.bias.x, MOST_BIAS_RAD_S);

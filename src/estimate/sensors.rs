@@ -1,9 +1,8 @@
 /*! Sensor models: an IMU in the trunk and an encoder at every joint, with noise, bias and quantisation.
 
-Unitree names no parts. The defaults of [`SensorNoise`] are those of an IMU that is common in such robots
-(Bosch BMI088, data sheet BST-BMI088-DS001) and of the GO-M8010-6 motor's protocol, as each key says. A constant error
-of the joint angles, which calibration leaves, is part of the simulation (`Conditions::encoder_bias`), since the
-controller suffers from it too.
+Unitree names no parts. The defaults of [`SensorNoise`] are those of an IMU that is common in such robots (Bosch BMI088, data sheet
+BST-BMI088-DS001) and of the GO-M8010-6 motor's protocol, as each key says. A constant error of the joint angles, which calibration leaves,
+is part of the simulation (`Conditions::encoder_bias`), since it affects the controller, too.
 */
 
 use std::f64::consts::TAU;

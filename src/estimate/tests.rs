@@ -124,8 +124,8 @@ fn a_foot_that_slips_moves_the_velocity_by_a_fifth_of_its_slip() {
 
 #[test]
 fn a_contact_flag_may_be_wrong_for_50_ms() {
-    // FR swings from 5.0 to 5.25 s, FL from 5.25 to 5.5 s. The first is said to touch, in mid-swing or before it lands;
-    // the second not to.
+    // FR swings from 5.0 to 5.25 s, FL from 5.25 to 5.5 s. The first is reported in contact in mid-swing or before it lands; the second is
+    // reported without contact.
     for (leg, says, from_s) in [(0, true, 5.1), (0, true, 5.2), (1, false, 5.1)] {
         let errors = walk(0.5, 8, 6, |tick, _| {
             if (from_s..from_s + 0.05).contains(&tick.time_s) {
@@ -141,7 +141,7 @@ fn a_contact_flag_may_be_wrong_for_50_ms() {
 
 #[test]
 fn silence_of_a_sensor_is_bridged() {
-    // The longest that is taken leaves errors as large as the speed: it is there to come through, not to walk on.
+    // The longest permitted silence leaves errors as large as the speed.
     for (imu, silent_s, worst_m_s) in [(true, 0.02, 0.15), (false, 0.02, 0.15), (true, 0.095, 0.5), (false, 0.095, 0.5)]
     {
         let errors = walk(0.5, 8, 7, |tick, _| {

@@ -89,7 +89,7 @@ impl Walker {
         let (position, rotation) = self.pose(time);
         let velocity = (self.pose(time + h).0 - self.pose(time - h).0) / (2.0 * h);
         let rate = (self.pose(time - h).1.inverse() * self.pose(time + h).1).scaled_axis() / (2.0 * h);
-        // An IMU gives what happened since its last reading.
+        // A reading of the IMU covers the time since the last one.
         let site_velocity = |time| (self.site(time + h) - self.site(time - h)) / (2.0 * h);
         let acceleration = (site_velocity(time) - site_velocity(time - DT_S)) / DT_S;
         let imu = ImuReading {

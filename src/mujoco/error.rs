@@ -68,7 +68,7 @@ pub enum Error {
     #[error("cannot draw a picture: {0}")]
     Renderer(String),
     /// An input of the simulation is NaN or infinite, and was not passed to MuJoCo.
-    #[error("{what} is {found}, expected a finite number: whatever controls the robot is at fault, not the physics")]
+    #[error("{what} is {found}, expected a finite number: the fault is in the controller, not in the physics")]
     Input {
         /// Name of the input, such as a joint's target.
         what: String,

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-/// Returns the file that MuJoCo was loaded from; `None` where the operating system does not tell.
+/// Returns the file that MuJoCo was loaded from; `None` where the operating system does not report it.
 pub fn library_file() -> Option<PathBuf> {
     let maps = std::fs::read_to_string("/proc/self/maps").ok()?;
     let address = mujoco_sys::mj_version as *const () as usize;

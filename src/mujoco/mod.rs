@@ -1,10 +1,10 @@
 /*! The safe wrapper of MuJoCo 2.2.2: start with [`Model`] (compiled from MJCF), then [`Data`] (one simulation), then
 [`Error`].
 
-MuJoCo reports trouble in four ways, and all of them become an [`Error`] here: a fatal error handler that would end the
-process (caught in `mujoco-sys`' C shim), warning counters in `mjData` (unstable states reset the simulation silently,
-full buffers drop contacts silently), text in a caller's buffer (XML), and null pointers. Apart from `mujoco-sys` this
-module is the only one that holds `unsafe` code.
+MuJoCo reports errors in four ways, and all of them become an [`Error`] here: a fatal error handler that would end the process (caught in
+`mujoco-sys`' C shim), warning counters in `mjData`, text in a caller's buffer (XML), and null pointers. Only the counters show that an
+unstable state has reset the simulation or that a full buffer has dropped contacts. Apart from `mujoco-sys` this module is the only one that
+holds `unsafe` code.
 */
 #![allow(unsafe_code)]
 

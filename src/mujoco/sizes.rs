@@ -41,12 +41,12 @@ const COPIES: f64 = 1_000.0;
 /// Prefix and limit of the attributes that add numbers to each body, joint and so on: `nuser_body` and its like.
 const PER_ELEMENT: (&str, f64) = ("nuser_", 100.0);
 
-/// The reason why an MJCF tree is kept from MuJoCo.
+/// The reason why an MJCF tree is not passed to MuJoCo.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub(crate) enum SizeError {
     #[error("{attribute} is '{found}', expected at most {limit}")]
     Beyond { attribute: String, found: String, limit: f64 },
-    #[error("it includes '{0}', which is not given with it")]
+    #[error("it includes '{0}', which is not among the given files")]
     Include(String),
 }
 

@@ -1,10 +1,10 @@
 /*! The matrix products and activations of the learner, in portable SIMD.
 
-Three matrix products make up a training step of a linear layer: `y = x·Wᵀ + b`, `δx = δy·W` and `δWᵀ = xᵀ·δy`. All
-three are the same sum `c[m, n] = Σ_k a[m, k]·b[k, n]` with `b` contiguous in `n`, so there is one register-tiled
-[`Product`] with two ways to walk `a`. Everything is kept in *panels* of 32 columns, one row after the other, so that all
-strides are known to the compiler: activations and gradients as a [`Matrix`], weights with 32 outputs to a panel, a row for
-each input and the bias as last row, which is `b` for the first product and `c` for the third.
+Three matrix products make up a training step of a linear layer: `y = x·Wᵀ + b`, `δx = δy·W` and `δWᵀ = xᵀ·δy`. All three are the same sum
+`c[m, n] = Σ_k a[m, k]·b[k, n]` with `b` contiguous in `n`, so there is one register-tiled [`Product`] with two ways to walk `a`. Everything
+is kept in *panels* of 32 columns, one row after the other, so that all strides are known to the compiler. Activations and gradients are a
+[`Matrix`]. Weights have 32 outputs to a panel, a row for each input and the bias as last row; they are `b` of the first product and `c` of
+the third.
 
 Every element is summed sequentially over `k` with fused multiply-adds into one accumulator, whichever tile it falls
 in. Its bits therefore depend neither on the rows beside it nor on the instruction set, and a policy evaluated alone
@@ -206,7 +206,7 @@ impl Product<'_> {
     /// allowed.
     #[inline(always)]
     fn strip<S: Simd, const A_T: bool, const R: usize, const V: usize>(&mut self, simd: S, column: usize) {
-        // What is added to must not be met twice.
+        // Tiles that add to their content must not overlap.
         let may_overlap = self.rows >= R && !matches!(self.ends, Ends::Add);
         let mut row = 0;
         while row < self.rows {

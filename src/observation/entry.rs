@@ -212,7 +212,7 @@ pub(super) fn scale(entry: &Observed, block: &ObservationBlock, nominal: &Nomina
         }
         found => numbers("scale", found.as_ref(), block.width, 1.0)?,
     };
-    // Scales are divided by, too: an observation is what the network sees over its scale.
+    // Scales are also divided by: an observation is the network's input over its scale.
     if scale.iter().all(|scale| *scale != 0.0 && scale.is_finite()) { Ok(scale) } else { Err(LayoutError::Zero(scale)) }
 }
 

@@ -30,7 +30,7 @@ pub enum LayoutError {
         expected: String,
     },
     /// A scale is zero.
-    #[error("its `scale` is {0:?}, expected no zero: leave out what is not to be seen")]
+    #[error("its `scale` is {0:?}, expected no zero: leave out numbers that are not observed")]
     Zero(Vec<f64>),
     /// The observation is empty or too long.
     #[error("its observation has {0} numbers, expected 1 to {MAX_LENGTH}")]
@@ -54,7 +54,7 @@ pub enum LayoutError {
         scale: f64,
     },
     /// A quantity of a policy's observation is known to the simulator alone.
-    #[error("only the simulator knows it, so no policy can observe it: move it to critic_observation")]
+    #[error("only the simulator has it, so no policy can observe it: move it to critic_observation")]
     Privileged,
     /// A quantity has no mirror image.
     #[error("{0} has no mirror image")]

@@ -180,7 +180,7 @@ impl Layout {
                 let About { kind, name: what, unit, .. } = block.quantity.about();
                 let units: Vec<&str> = unit.split(", ").collect();
                 for steps in &block.steps_ago {
-                    // What was last is of one step ago by itself.
+                    // The last action and target are one step old by definition.
                     let last = matches!(block.quantity, Quantity::LastAction | Quantity::LastTarget);
                     let when = match frame + steps + u32::from(last) {
                         0 => String::new(),
@@ -345,7 +345,7 @@ mod tests {
         assert_eq!(values[34..46], [3.0; 12]);
         assert_eq!(values[46], 0.35);
         assert_eq!(values[80..], [0.25, 0.5, -0.125]);
-        // Before the first measurement all was as it is in it.
+        // Before the first measurement, the history holds its values.
         assert_eq!(first[..34], first[46..80]);
     }
 
@@ -387,7 +387,7 @@ mod tests {
         let forces = Observed { elements, ..Observed::now(Quantity::FootForces) };
         let entries = [Observed::now(Quantity::BaseHeight), forces, Observed::now(Quantity::FootHeights)];
         let error = Layout::new(&entries, &NOMINAL).unwrap_err().to_string();
-        assert!(error.starts_with("observation, entry 2 (foot_forces): only the simulator knows it"), "{error}");
+        assert!(error.starts_with("observation, entry 2 (foot_forces): only the simulator has it"), "{error}");
         let layout = Layout::for_critic(&entries, &NOMINAL).unwrap();
         assert_eq!(layout.length(), 1 + 4 * 2 + 4);
         let names = layout.names();

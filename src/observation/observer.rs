@@ -20,7 +20,7 @@ pub struct ObservationInput<'a> {
     pub nominal: &'a Joints,
     /// Time since the policy began \[s\].
     pub time_s: f64,
-    /// Values that only the simulator knows, for a critic; the default for a policy, which cannot observe them.
+    /// Values that only the simulator has, for a critic; the default for a policy, which cannot observe them.
     pub privileged: Privileged,
 }
 

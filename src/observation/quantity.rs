@@ -106,7 +106,7 @@ quantities! {
 /// Largest felt force that a policy observes on each axis \[N\]: a push within one step would be several hundred.
 pub const MOST_FELT_N: f64 = 100.0;
 
-/// What the simulator knows and no robot measures: only a critic may observe it.
+/// Values of the simulator that no robot measures: only a critic may observe them.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Privileged {
     /// Contact force on each foot, and the force that holds it, mean over the last policy step, base frame \[N\].
@@ -167,7 +167,7 @@ pub(super) struct About {
 enum SeenBy {
     /// Policy and critic.
     Policy,
-    /// The critic alone, since only the simulator knows the quantity.
+    /// The critic alone, since only the simulator has the quantity.
     Critic,
 }
 
@@ -178,7 +178,7 @@ impl fmt::Display for Quantity {
 }
 
 impl Quantity {
-    /// Returns true if only the simulator knows the quantity, so that policies cannot observe it.
+    /// Returns true if only the simulator has the quantity, so that policies cannot observe it.
     pub fn is_privileged(self) -> bool {
         self.about().seen_by == SeenBy::Critic
     }

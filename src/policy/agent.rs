@@ -35,12 +35,12 @@ pub enum AgentError {
     },
     /// The path is an ONNX file without a description.
     #[error(
-        "{0} does not say what it sees and what its outputs mean: describe it in a YAML file that names it, as \
-         examples/policies/rsl_rl.yaml does, and give that"
+        "{0} has no description of its inputs and outputs: describe it in a YAML file that names it, as \
+         examples/policies/rsl_rl.yaml does, and give that file"
     )]
     Undescribed(String),
     /// A compliance is commanded where the policy does not play.
-    #[error("{0}: a compliance is commanded of a policy that plays; expected its name without '@'")]
+    #[error("{0} commands a compliance, but no policy is played here; give the name without '@'")]
     Commanded(String),
     /// The policy is external.
     #[error("{0} is an external policy: this works with policy files of Supple")]
@@ -135,7 +135,7 @@ impl Agent {
         }
     }
 
-    /// Returns the compliance to command [m/s/N]: the one that is required (by an experiment, or by a session that goes on),
+    /// Returns the compliance to command [m/s/N]: the one that is required (by an experiment, or by a session that continues),
     /// else the one behind the policy's name, else the scenario's, else the least that it was trained with; `None` leaves the
     /// policy its own.
     ///

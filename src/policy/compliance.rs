@@ -1,7 +1,7 @@
 /*! Compliance control: a policy that tracks a velocity is calibrated once, and then its compliance can be commanded.
 
-The virtual mass of [`crate::task::compliance`] is put around the policy. The calibration says how far the policy yields by
-itself, which commanded compliances have been tried, and what they gave.
+The virtual mass of [`crate::task::compliance`] is put around the policy. The calibration has the policy's own compliance, and the measured
+compliance for each commanded one that it supports.
 */
 
 use std::io::ErrorKind;
@@ -25,7 +25,7 @@ pub struct PolicyCalibration {
     pub sha256: String,
     /// Mass of the robot that it was measured on \[kg\].
     pub mass_kg: f64,
-    /// Own compliance of the policy, `C₀`, forward and left [m/s/N]; negative for one that leans against what it feels.
+    /// Own compliance of the policy, `C₀`, forward and left [m/s/N]; negative if it moves against a pull.
     pub own_m_s_per_n: [f64; 2],
     /// Change of the policy's velocity per change of the commanded one, forward and left.
     pub tracking: [f64; 2],
@@ -60,7 +60,7 @@ pub enum ComplianceError {
     #[error("compliance control needs '{0}', which this policy does not observe")]
     NotSeen(String),
     /// The policy has not been calibrated.
-    #[error("how far it yields has not been measured: run `policy calibrate` with it first")]
+    #[error("its compliance has not been measured: run `policy calibrate` with it first")]
     NotCalibrated,
 }
 
@@ -257,7 +257,7 @@ impl Controller for CompliantController<'_> {
             self.change = [0.0; 2];
             return self.policy.joint_targets(state, command);
         };
-        // A force that cannot be trusted lets go: the change of the command fades.
+        // Without a trusted force, the change of the command fades.
         let force = state.felt_force.unwrap_or_default();
         let command = self.mass.command(force, command, compliance, &mut self.change);
         self.policy.joint_targets(state, &command)
@@ -359,7 +359,7 @@ mod tests {
             let error = parsed(&TEXT.replacen(from, to, 1)).unwrap_err().to_string();
             assert!(error.contains(words), "{error}");
         }
-        // Of the velocity loop, which was measured otherwise.
+        // A calibration of the former velocity loop.
         let old = r#"{"sha256": "it", "own_m_s_per_n": 0.01, "bias": [[0, 0, 0, 0], [0, 0, 0, 0]], "points": []}"#;
         assert!(parsed(old).unwrap_err().to_string().contains("run `policy calibrate` again"));
     }

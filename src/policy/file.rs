@@ -337,7 +337,7 @@ enum PolicyFileFault {
     Action,
     #[error("its simulation differs from that of the configuration it was trained with")]
     Simulation,
-    #[error("its network answers its golden observations with numbers that are not finite")]
+    #[error("its network returns numbers that are not finite for its golden observations")]
     GoldenNotFinite,
     #[error(
         "its golden joint targets are off by {worst:.2e} rad, at most {GOLDEN_TOLERANCE:.0e} is expected: the file is damaged"
@@ -352,7 +352,7 @@ impl PolicyMetadata {
         config.check()?;
         let layout = config.layout()?;
         let (named, configured) = (self.usage.observation_elements.len(), layout.length());
-        // The lengths may be any numbers.
+        // The file may state any lengths, so the sum saturates.
         let described = self.observation.iter().fold(0_usize, |sum, block| sum.saturating_add(block.length));
         if [named, described] != [configured; 2] {
             return Err(PolicyFileFault::Length { described, named, configured });

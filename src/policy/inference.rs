@@ -1,4 +1,4 @@
-//! Inference: from the robot's state over the observation and the network to joint targets.
+//! Inference: from the robot's state through observation and network to joint targets.
 
 use std::borrow::Borrow;
 use std::fmt;
@@ -291,7 +291,7 @@ action: {meaning: offset_from_nominal, scale_rad: 0.25, clip: 1.0}
         let command = Command::velocity(1.0, 2.0, 0.5);
         controller.joint_targets(&state(0.0), &command);
         let first = controller.seen().to_vec();
-        // Before the first step all was as it was then.
+        // Before the first step, the history holds its state.
         assert_eq!(first[..24], first[24..]);
         // FL before FR; 2 · 0.125; 2 · (−0.25 − 1) = −2.5; sin 0, sin π/2; down is 1, twice.
         assert_eq!(first[..6], [3.0, 4.0, 5.0, 0.0, 1.0, 2.0]);

@@ -33,7 +33,7 @@ pub fn find(name: &str) -> Result<Agent, AgentError> {
     Ok(agent)
 }
 
-/// Like [`find`], but leaves the policy's calibration unread, to make a new one. The name has no compliance behind it.
+/// Like [`find`], but leaves the policy's calibration unread, to make a new one. The name is without `@` and a compliance.
 ///
 /// # Errors
 /// There is no such policy (the error lists the shipped ones), or its file is invalid.

@@ -93,7 +93,7 @@ pub fn learner(
     })
 }
 
-/// Optional keys of `ppo` that all learners know, or that the trainer uses for them.
+/// Optional keys of `ppo` that all learners use, or that the trainer uses for them.
 const OPTIONAL_KEYS: &[&str] = &["learner", "precision", "final_entropy_coefficient"];
 
 impl LearnerKind {
@@ -119,8 +119,8 @@ pub fn resolved(ppo: &Ppo) -> Precision {
 /// The error of a precision that this processor does not support.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "ppo.precision is mixed, but this processor has no tile unit for bf16 (AMX): \
-     go on where there is one, or start a run with ppo.precision: f32"
+    "ppo.precision is mixed, but this processor has no tile unit for bf16 (AMX): resume on a processor that has one, \
+     or start a run with ppo.precision: f32"
 )]
 pub struct PrecisionError;
 

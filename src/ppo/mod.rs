@@ -8,9 +8,9 @@ of a batch; there are two, and the key `ppo.learner` chooses between them:
   products on all cores. [`PackedMlp`](crate::network::PackedMlp) evaluates one network during rollouts, with the same
   bits.
 
-To try a new loss, change [`candle::Loss::new`] and train with `ppo.learner: candle`. Its keys go into [`Ppo`](crate::config::Ppo)
-and into the list of those that the learner knows; the other learner refuses them. To keep the loss, add it to the fused
-learner; the tests that compare the two tell when it is right.
+To try a new loss, change [`candle::Loss::new`] and train with `ppo.learner: candle`. Its keys go into [`Ppo`](crate::config::Ppo) and into
+the list of those that the learner uses; the other learner refuses them. To keep the loss, add it to the fused learner; the tests that
+compare the two show when it is right.
 
 The semantics are those of Stable-Baselines3 (advantages normalised per minibatch, unclipped value loss, joint
 gradient-norm clip, Adam) with the adaptive learning rate of Rudin et al. ("Learning to walk in minutes using

@@ -9,8 +9,8 @@ away, then four. Both sides compute `a + b`, which has the same bits as `b + a`.
 sums one half only, and half of that in the next; the sums then go back the same way. So a rank sends less than twice
 what it sums, however many ranks there are, and the tree is the same.
 
-A rank that hangs does not block the others for ever. A rank that has waited too long tells all others that it waits;
-those that wait, too, reply; the rank that did not answer is reported.
+A rank that hangs does not block the others for ever. A rank that has waited too long sends a message to all others; those that wait, too,
+reply; the rank that did not answer is reported.
 */
 
 use std::ops::{AddAssign, Range};
@@ -87,7 +87,7 @@ impl Mpi {
             let Some((universe, Threading::Serialized | Threading::Multiple | Threading::Funneled)) =
                 ::mpi::initialize_with_threading(Threading::Funneled)
             else {
-                // `joined` is dropped, which says as much.
+                // Dropping `joined` reports the failure.
                 return;
             };
             let world = MpiComm::new(&universe, timeout);
@@ -129,7 +129,7 @@ impl Drop for Mpi {
         let messenger = self.messenger.get_mut().unwrap_or_else(PoisonError::into_inner);
         messenger.calls = channel().0;
         if let Some(thread) = messenger.thread.take().filter(|_| !thread::panicking()) {
-            // A thread that panicked has said so itself.
+            // A thread that panicked has printed its message.
             let _ = thread.join();
         }
     }

@@ -7,8 +7,8 @@ use crate::mujoco::{self, SizeError};
 use crate::util::xml::XmlError;
 
 /// Advice on files that need a newer MuJoCo than this program's.
-pub(super) const SAVE_AGAIN: &str = "save the robot from that MuJoCo (mujoco.mj_saveLastXML after loading it), which writes \
-                                     such words out, or build Supple with that MuJoCo";
+pub(super) const SAVE_AGAIN: &str = "save the robot from that MuJoCo (mujoco.mj_saveLastXML after loading it), which \
+                                     writes the model without them, or build Supple with that MuJoCo";
 
 /// The reason why a robot's files were refused.
 #[derive(Debug, thiserror::Error)]
@@ -37,10 +37,10 @@ pub(crate) enum RobotError {
     NotFinite { at: String, attribute: String, element: String, found: String },
     #[error("{at}: {attribute} of {element} is '{found}', expected {expected}")]
     Attribute { at: String, attribute: &'static str, element: String, found: String, expected: &'static str },
-    #[error("{at}: {word} needs MuJoCo {since}, and robots are read in the words of 2.2.2; {advice}")]
+    #[error("{at}: {word} needs MuJoCo {since}, and robots are read as MJCF of 2.2.2; {advice}")]
     Newer { at: String, word: String, since: &'static str, advice: &'static str },
     #[error(
-        "{at}: {word} is unknown to MuJoCo 2.2.2: a typing error, or a word of a newer MuJoCo; take it out, or {SAVE_AGAIN}"
+        "{at}: {word} is unknown to MuJoCo 2.2.2: a typing error, or new in a later MuJoCo; take it out, or {SAVE_AGAIN}"
     )]
     Unknown { at: String, word: String },
     #[error("{at}{}{element}: MuJoCo refuses it: {message}", if at.is_empty() { "" } else { ", " })]
@@ -58,7 +58,7 @@ pub(crate) enum RobotError {
     #[error("MJCF cannot name {}: its path is not UTF-8; move it", .0.display())]
     Path(PathBuf),
     #[error(
-        "it has no joint '{wanted}'; its joints are: {known}. Say in a YAML file which is which, as examples/robots/quadruped.yaml does"
+        "it has no joint '{wanted}'; its joints are: {known}. Name the joints in a YAML file, as examples/robots/quadruped.yaml does"
     )]
     NoJoint { wanted: String, known: String },
     #[error("its joint '{name}' is named twice, as {} and {}: name each joint once", joint_name(*first), joint_name(*second))]

@@ -1,12 +1,11 @@
-//! The inertia that the joints feel, which decides how fast physics must be for a PD law to hold.
+//! The least inertia at the joints, which determines the physics rate at which a PD law is stable.
 
 use nalgebra::DMatrix;
 
 use super::{JOINTS, Joints, Robot, joint_name};
 use crate::mujoco::{Data, Model, Object, Result};
 
-/// Returns the least inertia that any combination of the joints feels in a pose, with the trunk free and the feet in the air
-/// [kg·m²].
+/// Returns the least inertia over all combinations of joint motions in a pose, with the trunk free and the feet in the air [kg·m²].
 ///
 /// # Errors
 /// MuJoCo fails.
@@ -34,7 +33,7 @@ pub fn least_inertia(robot: &Robot, pose: &Joints) -> Result<f64> {
             inertia[(row, column)] += force;
         }
     }
-    // Of a robot without any inertia somewhere, no rate is fast enough.
+    // If a motion has no inertia, no rate is fast enough.
     let Some(response) = inertia.try_inverse() else { return Ok(0.0) };
     let of_joints = DMatrix::from_fn(JOINTS, JOINTS, |row, column| response[(joints[row].1, joints[column].1)]);
     let fastest = ((&of_joints + of_joints.transpose()) / 2.0).symmetric_eigenvalues().max();
@@ -49,7 +48,7 @@ mod tests {
     fn the_go1s_calves_are_the_lightest_that_a_joint_moves() {
         let robot = Robot::load("go1").unwrap();
         let least = least_inertia(&robot, &robot.nominal_pose).unwrap();
-        // The rotor and the calf about the knee, less what the thigh gives way.
+        // The rotor and the calf about the knee, less the motion of the thigh.
         assert!((0.005..0.0176).contains(&least), "{least}");
     }
 }

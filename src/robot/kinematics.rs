@@ -1,8 +1,8 @@
 /*! Forward kinematics of the feet, from joint angles and rates: any leg of three hinges in closed form.
 
-A leg is read from the model at zero angles, all in the base frame: the hip's position, the vectors from hip to
-thigh joint, from there to the knee, from there to the foot, and the axes of the joints. Thigh and calf turn
-about parallel axes, so that their angles add. `golden.c` prints what MuJoCo makes of the Go1's legs, and a test compares.
+A leg is read from the model at zero angles, all in the base frame: the hip's position, the vectors from hip to thigh joint, from there to
+the knee, from there to the foot, and the axes of the joints. Thigh and calf turn about parallel axes, so that their angles add. `golden.c`
+prints MuJoCo's results for the Go1's legs, and a test compares.
 */
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
@@ -108,7 +108,7 @@ pub(super) fn bent_pose(legs: &[Leg; 4], pose: &Joints, limits: &[[f64; 2]; JOIN
         let mut pose = [0.0; JOINTS];
         for (leg, angles) in pose.chunks_exact_mut(PARTS.len()).enumerate() {
             let limits = &limits[PARTS.len() * leg..][..PARTS.len()];
-            // To a milliradian: it will be read.
+            // Rounded to a milliradian, as people read it.
             let bend = |part: f64| legs[leg].bent(part).map(|angle| (1e3 * angle).round() / 1e3);
             let (back, forward) = (bend(part), bend(-part));
             // Some robots' rear knees point forward.

@@ -156,8 +156,8 @@ struct Known {
     robot: Arc<Robot>,
 }
 
-/// Time of the last change of a file, and its length \[bytes\]; `None` if it cannot be asked for. A hash of its content would cost
-/// every trial, which loads its robot.
+/// Time of the last change of a file, and its length \[bytes\]; `None` if it is unknown. A hash of its content would slow down every trial,
+/// as each loads its robot.
 type Version = Option<(SystemTime, u64)>;
 
 fn version(path: &Path) -> Version {
@@ -185,11 +185,11 @@ impl Robot {
         }
         let source = import::Source::read(path).map_err(fail)?;
         let key = [name.to_owned(), source.text()];
-        // Held while one is imported: who asks for the same one at the same time waits for it.
+        // Held during an import, so that another thread that needs the same robot waits for it.
         let mut known = IMPORTED_ROBOTS.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(at) = known.iter().position(|known| known.key == key) {
             let Known { assets, robot, .. } = &known[at];
-            // The text does not say what is in meshes and textures, which may have changed since.
+            // Meshes and textures are not in the text, and may have changed since.
             if assets.iter().all(|(seen, path)| version(path) == *seen) {
                 return Ok(Arc::clone(robot));
             }
@@ -214,7 +214,7 @@ impl Robot {
             self.stand[*place] = angle;
         }
         self.report.push(format!(
-            "pose: its file says none, and its legs are straight or folded; knees bent to the rear, base at {:.3} m \
+            "pose: its file states none, and its legs are straight or folded; knees bent to the rear, base at {:.3} m \
              (nominal_pose_rad in a YAML file chooses another)",
             self.stand[2]
         ));

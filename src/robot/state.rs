@@ -30,8 +30,8 @@ pub struct FootState {
     pub contact: bool,
 }
 
-/// Speed below which a foot that touches something stands \[m/s\]. A foot that swings through balls touches them, too, but at a
-/// metre per second, and says nothing about the trunk's velocity.
+/// Speed below which a foot that touches something stands \[m/s\]. A foot that swings through balls touches them, too, but at about 1 m/s,
+/// so the trunk's velocity does not follow from it.
 const STANDS_M_S: f64 = 0.3;
 
 impl FootState {
@@ -62,8 +62,8 @@ pub struct RobotState {
     pub joint_rates: Joints,
     /// Feet in the order of [`LEGS`](crate::robot::LEGS).
     pub feet: [FootState; 4],
-    /// Force on the trunk from outside that the robot feels, forward and left in the heading frame, mean over the last policy
-    /// step \[N\]; `None` where nothing observes it, or where it cannot be trusted.
+    /// Felt force on the trunk, forward and left in the heading frame, mean over the last policy step \[N\]; `None` where it is not
+    /// observed, or cannot be trusted.
     pub felt_force: Option<[f64; 2]>,
 }
 

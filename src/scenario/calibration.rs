@@ -1,4 +1,4 @@
-/*! Calibration: measures the compliance of a policy by pulls in all directions, by itself and as commanded.
+/*! Calibration: measures the compliance of a policy by pulls in all directions, without and with a commanded compliance.
 
 While it stands and while it walks at 0.5 m/s on a plane, the robot is pulled in twelve directions with up to 20 N, one after the
 other. Its compliance on an axis is the slope of the velocity, minus that without the pull, over the force on that axis.
@@ -27,11 +27,11 @@ const AT_S: f64 = 2.0;
 const FOR_S: f64 = 6.0;
 const MEAN_S: f64 = 3.0;
 
-/// Compliances that are tried [m/s/N]. Below, the policy would have to be stiffer than any is; above, a robot drifts away under
-/// the smallest error of the felt force.
+/// Compliances that are tried [m/s/N]. Policies cannot be stiffer than the smallest; beyond the largest, a robot drifts away under small
+/// errors of the felt force.
 const TRIED: [f64; 7] = [0.005, 0.01, 0.02, 0.03, 0.04, 0.05, 0.06];
 
-/// Compliance at which it is measured how well the policy tracks the change of its command [m/s/N].
+/// Commanded compliance for the measurement of how well the policy tracks a change of its command [m/s/N].
 const SOFT: f64 = 0.04;
 
 /// Largest error of a measured compliance, as a fraction of the commanded one, up to which it can be commanded.
@@ -50,7 +50,7 @@ pub enum CalibrationError {
     #[error(transparent)]
     Physics(#[from] mujoco::Error),
     /// The robot falls without a pull, or under the weakest pull.
-    #[error("it falls {0}: there is no compliance to measure")]
+    #[error("it falls {0}, so its compliance cannot be measured")]
     Falls(&'static str),
     /// The policy, the physics or the sensors fail in a walk without commanded compliance.
     #[error("it stops after {time_s:.2} s of a walk, before any compliance is commanded: {problem}")]
@@ -62,8 +62,8 @@ pub enum CalibrationError {
     },
     /// At most one of the commanded compliances can be measured: under the others the robot falls, or yields otherwise.
     #[error(
-        "it yields by itself by {0:.4?} m/s/N forward and left, and gives fewer than two of the commanded compliances {TRIED:?} \
-         m/s/N within a quarter: it falls, or does not track a velocity"
+        "its own compliance is {0:.4?} m/s/N forward and left, and it reaches fewer than two of the commanded \
+         compliances {TRIED:?} m/s/N within 25 %: it falls, or does not track a velocity"
     )]
     Range([f64; 2]),
 }
@@ -85,7 +85,7 @@ impl Probe {
 /// Calibrates a policy on its robot, using `threads` threads.
 ///
 /// # Errors
-/// The robot falls, does not give way, or cannot be simulated, or the policy fails.
+/// The robot falls, does not yield as commanded, or cannot be simulated, or the policy fails.
 pub fn calibrate(agent: &mut Agent, threads: usize) -> Result<PolicyCalibration, CalibrationError> {
     agent.calibration = None;
     let own = compliance(agent, None, threads)?.ok_or(CalibrationError::Falls("when pulled with 10 or 20 N"))?;
@@ -98,12 +98,12 @@ pub fn calibrate(agent: &mut Agent, threads: usize) -> Result<PolicyCalibration,
         points: Vec::new(),
     };
     agent.calibration = Some(calibration.clone());
-    // What is missing under a soft setting is what the policy does not track.
+    // The compliance that is missing at a soft setting is the part of the command that the policy does not track.
     let soft = compliance(agent, Some(SOFT), threads)?.ok_or(CalibrationError::Falls("commanded 0.04 m/s/N"))?;
     calibration.tracking = std::array::from_fn(|axis| ((soft[axis] - own[axis]) / (SOFT - own[axis])).clamp(0.5, 1.5));
     agent.calibration = Some(calibration.clone());
     for commanded in TRIED {
-        // A compliance at which pulls bring it down, or that it does not give, is left out of the range.
+        // A compliance at which pulls make it fall, or that it does not reach, is left out of the range.
         let is_given = |measured: &f64| (measured / commanded - 1.0).abs() <= TOLERANCE;
         match compliance(agent, Some(commanded), threads)? {
             Some(measured) if measured.iter().all(is_given) => calibration.points.push(Point { commanded, measured }),

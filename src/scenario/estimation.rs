@@ -59,8 +59,8 @@ impl Estimation {
     }
 }
 
-/// Returns how far felt and true force on the trunk differ over the frames before the first fall in which the felt one can be
-/// trusted, and the fraction of frames in which it cannot.
+/// Returns the RMSE of the felt force on the trunk over the frames without doubt before the first fall, and the fraction of frames in
+/// doubt.
 pub fn felt_forces(trace: &Trace) -> [Metric; 2] {
     let trace = trace.on_its_feet();
     let felt: Vec<&Felt> = trace.frames.iter().filter_map(|frame| frame.felt.as_ref()).collect();

@@ -1,4 +1,4 @@
-//! The force observer in play: fed after every physics step with the true state, or with what the sensors read.
+//! The force observer of a playback: updated after every physics step with the true state, or with the sensors' readings.
 
 use crate::estimate::external_force::{ExternalForces, ForceFault, ForceObserver, ForceReading, Memory};
 use crate::mujoco::{self, Data};
@@ -6,11 +6,10 @@ use crate::robot::Joints;
 use crate::scenario::senses::{ExactSensors, Senses};
 use crate::sim::{Conditions, Parts, Sim, StepObserver};
 
-/// What a [`ForceSense`] remembers between physics steps.
+/// The memory of a [`ForceSense`] between physics steps.
 pub(super) type ForceMemory = (Memory, ExactSensors);
 
-/// A [`ForceObserver`] with error-free sensors that feed it unless it gets [`Senses`]. As a [`StepObserver`] it takes the
-/// true state.
+/// A [`ForceObserver`] with error-free sensors, which it reads unless it gets [`Senses`]. As a [`StepObserver`] it takes the true state.
 #[derive(Debug)]
 pub(crate) struct ForceSense {
     observer: ForceObserver,
@@ -48,18 +47,18 @@ impl ForceSense {
         self.observer.take_mean()
     }
 
-    /// Returns what is remembered between physics steps.
+    /// Returns the memory between physics steps.
     pub(super) fn save(&mut self) -> ForceMemory {
         (self.observer.memory().clone(), self.exact.clone())
     }
 
-    /// Goes on from what another observer of the same robot remembered.
+    /// Continues from the memory of another observer of the same robot.
     pub(super) fn restore(&mut self, (memory, exact): &ForceMemory) {
         self.observer.memory().clone_from(memory);
         self.exact.clone_from(exact);
     }
 
-    /// Starts again in the present state; to be called after the robot has been put elsewhere.
+    /// Starts again in the present state; to be called after the robot has been moved to another place.
     pub fn reset(&mut self, sim: &Sim, conditions: &Conditions) {
         self.exact = ExactSensors::new(sim, conditions);
         self.observer.reset();
@@ -157,7 +156,7 @@ mod tests {
         felt
     }
 
-    /// A robot that walks at 0.5 m/s, and what it feels.
+    /// A robot that walks at 0.5 m/s, and its felt forces.
     struct WalkingRobot {
         agent: Agent,
         sim: Sim,
@@ -195,7 +194,7 @@ mod tests {
             WalkingRobot { agent, sim, tap: ForceTap { sense, senses, felt: Vec::new() } }
         }
 
-        /// Plays from a standstill. `act` may do something before each policy step. Returns what was felt in each step.
+        /// Plays from a standstill. `act` is called before each policy step. Returns the felt forces of each step.
         fn play(&mut self, seconds: f64, mut act: impl FnMut(&mut Sim, usize)) -> Vec<Vec<ExternalForces>> {
             let mut controller = self.agent.controller();
             let steps = self.agent.config.simulation.policy_steps(seconds);
@@ -272,7 +271,7 @@ mod tests {
             assert!(felt[100..].iter().flatten().all(|felt| felt.doubt.is_none()), "{linear:?}");
             let along = |felt: &ExternalForces| 2.0 * (felt.force.x * linear[0] + felt.force.y * linear[1]);
             let impulse: f64 = felt[120].iter().map(|felt| along(felt) / 240.0).sum();
-            // A push changes the velocity of all parts: what the legs take of it is felt at the feet.
+            // A push changes the velocity of all parts: the part of the legs is felt at the feet.
             let momentum = 0.5 * walk.sim.robot().mass_kg;
             assert!((0.8..1.05).contains(&(impulse / momentum)), "{linear:?}: {impulse} {momentum}");
         }

@@ -39,7 +39,7 @@ pub struct Beginning {
     frames: Vec<Frame>,
 }
 
-/// A moment between two policy steps, from which a playback goes on with the same bits.
+/// A moment between two policy steps, from which a playback continues with the same bits.
 #[derive(Debug)]
 struct Moment {
     state: RobotState,
@@ -76,7 +76,7 @@ pub struct Playback<'a> {
     controller_must_begin: bool,
     /// The sensors; `None` if the controller sees the true state.
     pub(super) senses: Option<Senses>,
-    /// The observer of the forces from outside; `None` unless they are wanted.
+    /// The observer of the forces from outside; `None` unless they are observed.
     force_sense: Option<ForceSense>,
     /// The felt forces, low-passed.
     felt: ExternalForces,
@@ -134,8 +134,8 @@ impl<'a> Playback<'a> {
         }
     }
 
-    /// Observes the forces from outside, as a commanded compliance and some policies need (which switches this on by itself), and
-    /// stores them in the frames. Call it before the first step.
+    /// Observes the external forces and stores them in the frames. It is always on for a commanded compliance and for policies that need
+    /// it. Call it before the first step.
     ///
     /// # Errors
     /// MuJoCo cannot compile the robot alone.
@@ -189,8 +189,8 @@ impl<'a> Playback<'a> {
         trace
     }
 
-    /// Plays to the end and returns what other scripts go on from that are the same but for their disturbances; this one has
-    /// none. `None` if something happens nevertheless.
+    /// Plays this script, which has no disturbances, to the end, and returns the beginning of scripts that differ only in disturbances.
+    /// `None` if an event occurs.
     pub fn beginning(mut self) -> Option<Beginning> {
         let mut beginning = Beginning::default();
         for _ in 0..self.length {
@@ -209,8 +209,8 @@ impl<'a> Playback<'a> {
         Some(beginning)
     }
 
-    /// Plays to the end and returns the same trace as [`Playback::trace`], but takes from `beginning` what comes before the
-    /// first disturbance. It must be that of this script, configuration and policy, on the true state.
+    /// Plays to the end and returns the same trace as [`Playback::trace`], but takes the part before the first disturbance from
+    /// `beginning`. It must be that of this script, configuration and policy, on the true state.
     ///
     /// # Errors
     /// MuJoCo fails in a state of the beginning.
@@ -257,7 +257,10 @@ impl<'a> Playback<'a> {
         })?;
         events.append(&mut step.events);
         if let Some(fault) = self.senses.as_mut().map_or(Ok(None), Senses::fault)? {
-            events.push(Event::disturbance(self.world.time_s(), format!("sensors: {fault}; the others bridge it")));
+            events.push(Event::disturbance(
+                self.world.time_s(),
+                format!("sensors: {fault}; bridged by the other sensor"),
+            ));
         }
         self.look_for_fall(step.summary.fall, events);
         self.look_for_goal(events);
@@ -373,7 +376,7 @@ impl<'a> Playback<'a> {
         Some(stages.at((since_push + stages.recovery_start as i64 - 1).max(0) as usize))
     }
 
-    /// Adds an event at the first fall, and what came before it.
+    /// Adds an event at the first fall, with the last disturbance before it.
     fn look_for_fall(&mut self, fall: Option<Fall>, events: &mut Vec<Event>) {
         if let Some(event) = events.iter().rfind(|event| event.kind == EventKind::Disturbance) {
             self.last_disturbance = Some((event.time_s, event.text.clone()));
@@ -456,7 +459,7 @@ impl<'a> Playback<'a> {
         Ok(())
     }
 
-    /// Resets robot and scene to their start. Time goes on; the script's own disturbances are not repeated.
+    /// Resets robot and scene to their start. Time continues; the script's own disturbances are not repeated.
     ///
     /// # Errors
     /// MuJoCo fails in the starting state.

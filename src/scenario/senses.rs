@@ -5,9 +5,9 @@ contacts, and the filters of [`crate::estimate`] the state. The controller gets 
 sensor whose reading is not finite counts as silent in that tick: the other one bridges it, for as long as the filters
 allow. The motors' own loop keeps acting on the true joints, with the encoder bias of the simulation.
 
-Pushes change the trunk's velocity instantly. The IMU feels them nevertheless: it reads the change of velocity since its
-last reading, which without a push is the simulator's acceleration to the last bit or so. Its range (±24 g) is not
-modelled, since only such a push exceeds it.
+Pushes change the trunk's velocity instantly. The IMU measures them nevertheless: it reads the change of velocity since its last reading,
+which without a push is the simulator's acceleration to the last bit or so. Its range (±24 g) is not modelled, since only such a push
+exceeds it.
 */
 
 use std::sync::Arc;
@@ -379,7 +379,10 @@ mod tests {
             events.extend(played.events);
         }
         let [told] = &events[..] else { panic!("{events:?}") };
-        assert_eq!(told.text, "sensors: accelerometer x reads NaN, expected a finite number; the others bridge it");
+        assert_eq!(
+            told.text,
+            "sensors: accelerometer x reads NaN, expected a finite number; bridged by the other sensor"
+        );
         let worst = |steps: std::ops::Range<usize>| errors[steps].iter().copied().fold(0.0, f64::max);
         assert!(worst(90..105) < 0.3 && worst(150..180) < 0.1, "{} {}", worst(90..105), worst(150..180));
     }

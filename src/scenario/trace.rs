@@ -39,7 +39,7 @@ pub struct Sensed {
     pub true_contacts: [bool; 4],
 }
 
-/// The forces from outside in a policy step as the robot feels them, heading frame, low-passed over 0.1 s.
+/// The felt and true external forces in a policy step, heading frame, low-passed over 0.1 s.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Felt {
     /// Felt force on the trunk \[N\].
@@ -111,7 +111,7 @@ pub struct Frame {
     pub sensed: Option<Sensed>,
     /// The felt forces, if they are observed.
     pub felt: Option<Felt>,
-    /// How the disturbance that acts is drawn.
+    /// The drawn mark of the present disturbance.
     pub mark: Option<DisturbanceMark>,
     /// The matching stage of a training episode, for scripts with a single push.
     pub stage: Option<Stage>,

@@ -35,7 +35,7 @@ pub(super) struct Nominal {
 }
 
 impl Nominal {
-    /// Notes the dynamics of a robot in its model, with the gains of a configuration.
+    /// Reads the dynamics of a robot from its model, with the gains of a configuration.
     pub(super) fn new(data: &Data, parts: &Parts, config: &Simulation, losses: Losses) -> Self {
         Nominal {
             trunk: data.model().inertial(parts.trunk()),

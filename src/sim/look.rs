@@ -1,6 +1,6 @@
 //! The look of scenes in pictures: a sky, a sun whose shadows are sharp around the robot, and a chequered ground.
 //!
-//! Models that are simulated have none of it. Lengths are metres, as the extent of the scene is set to 1 m.
+//! Models for simulation have none of these. Lengths are metres, as the extent of the scene is set to 1 m.
 
 /// Name of the material of the ground.
 pub(super) const GROUND_MATERIAL: &str = "supple_ground";

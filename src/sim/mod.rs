@@ -2,9 +2,9 @@
 
 Start with [`Scene`] (what is simulated) and [`Sim`] (one policy step at a time), then [`control`] and [`ground`].
 
-A physics step is taken as MuJoCo's second half (forces, integration) followed by its first half (kinematics,
-contacts), so that positions, velocities, feet and contacts all belong to the same instant when a policy looks at them,
-with no work done twice. Contact forces exist only between the two halves; a [`StepObserver`] sees them there.
+A physics step is taken as MuJoCo's second half (forces, integration) followed by its first half (kinematics, contacts). Positions,
+velocities, feet and contacts then belong to the same instant when a policy reads them, and nothing is computed twice. Contact forces exist
+only between the two halves; a [`StepObserver`] sees them there.
 */
 
 use std::sync::Arc;
@@ -41,8 +41,7 @@ pub enum Fall {
     Touch(usize),
 }
 
-/// Contact priority of feet on ground of varied friction: above that of grounds and obstacles, so that the feet's
-/// friction holds.
+/// Contact priority of feet on ground of varied friction: above that of grounds and obstacles, so that the feet's friction applies.
 const FOOT_PRIORITY: i32 = 3;
 
 /// Approximate half-length of the square that a standing robot covers \[m\].

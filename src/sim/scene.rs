@@ -1,11 +1,11 @@
 /*! Scenes: compiles a robot, a ground and obstacles into one model.
 
-MuJoCo 2.2.2 has no arena: the buffers for contacts, constraint rows and the stack are fixed when the model is compiled,
-and decide both whether a crowded scene loses contacts and whether a small one stays in cache. The scene knows its
-content, so it sets their sizes.
+MuJoCo 2.2.2 has no arena: the buffers for contacts, constraint rows and the stack are fixed when the model is compiled. If they are too
+small, a crowded scene loses contacts; if too large, a small scene does not stay in cache. The scene knows its content, so it sets their
+sizes.
 
-Contact masks: robot parts carry contype 1 / conaffinity 2 and never meet each other; grounds and obstacles keep
-MuJoCo's 1 / 1 and meet both the robot and one another. They have priority 1, so that their friction holds.
+Contact masks: robot parts carry contype 1 / conaffinity 2 and never meet each other; grounds and obstacles keep MuJoCo's 1 / 1 and meet
+both the robot and one another. They have priority 1, so that their friction applies.
 
 A robot alone on a plane can touch nothing but the plane. There, and on the uneven ground of training, the scene lists the
 pairs that may touch, and MuJoCo does not look for them among all bodies: the same contacts, a quarter more steps per second.
@@ -45,7 +45,7 @@ pub struct Buffers {
 pub struct Scene {
     /// The robot in the scene.
     pub robot: Arc<Robot>,
-    /// Mass that the trunk has beyond the robot's description, which neither policy nor observers know \[kg\].
+    /// Mass that the trunk has beyond the robot's description, which policies and force observers do not take into account \[kg\].
     pub extra_mass_kg: f64,
     /// The ground that the robot walks on.
     pub ground: Ground,
@@ -153,7 +153,7 @@ impl Scene {
         xml
     }
 
-    /// Returns true where the pairs of geometries that may touch are listed: for a robot alone on a plane, or where the scene says so.
+    /// Returns true where the pairs of geometries that may touch are listed: for a robot alone on a plane, or if `lists_pairs` is true.
     fn has_pairs(&self) -> bool {
         (self.ground == Ground::Flat || self.lists_pairs) && self.obstacles.is_empty() && self.extras.is_empty()
     }

@@ -122,7 +122,7 @@ mod tests {
     fn perlin_terrain_is_flat_at_the_start_and_has_its_magnitude() {
         let field = perlin([6.0, 4.0], 0.05, 0.5, 1);
         let [low, high] = field.range();
-        // The flat start can only take away from the range.
+        // The flat start can only reduce the range.
         assert!(high - low <= 0.05 + 1e-12 && high - low > 0.04, "{low} {high}");
         let centre = (field.rows / 2) * field.columns + field.columns / 2;
         assert_eq!(field.heights[centre], 0.0);

@@ -1,8 +1,8 @@
 /*! Checkpoints: the complete state of a run, from which it continues with the same bits, in one atomic file.
 
-The tensors are the learner's (parameters and Adam's moments) and `run`, the bytes of a JSON text, exact to the bit, with the
-rest (configuration, seed, counters, curriculum, the state of every environment). A checksum protects both. The previous
-checkpoint is kept: if the newest cannot be read, the run resumes from that one and reports it.
+The tensors are the learner's (parameters and Adam's moments) and `run`: the bytes of a JSON text, exact to the bit. It holds the rest
+(configuration, seed, counters, curriculum, the state of every environment). A checksum protects both. The previous checkpoint is kept: if
+the newest cannot be read, the run resumes from that one and reports it.
 */
 
 use std::path::Path;
@@ -101,8 +101,7 @@ pub struct RunState {
     pub config: Config,
     /// Git revision of the program that wrote the checkpoint.
     pub git_revision: String,
-    /// MuJoCo that it was written with, as [`mujoco_version`](crate::provenance::mujoco_version) names it; empty if it
-    /// does not say.
+    /// MuJoCo that it was written with, as [`mujoco_version`](crate::provenance::mujoco_version) names it; empty if unknown.
     #[serde(default)]
     pub mujoco_version: String,
     /// SHA-256 of the robot's files.

@@ -114,7 +114,7 @@ impl Collection<'_> {
             envs.iter().map(|env| stream(self.seed, Purpose::Action, env.index(), self.iteration)).collect();
         let mut scratch = Scratch::default();
         let (mut seen, mut means) = (vec![0.0; count * length], vec![0.0; count * width]);
-        // Rows after which the return goes on with a value, and the observations that it is the value of.
+        // Rows after which the return continues with a value, and the observations of that value.
         let (mut continued, mut final_observations) = (Vec::new(), Vec::new());
         // By environment: sums over them must not depend on which environments a worker has.
         let mut episodes: Vec<Vec<EpisodeReport>> = vec![Vec::new(); count];

@@ -1,4 +1,4 @@
-/*! How a real robot and its way differ from the simulation: dynamics, an inertial sensor with errors, feet that are held.
+/*! Random differences of a real robot and its surroundings from the simulation: dynamics, errors of the inertial sensor, held feet.
 
 They are drawn with an episode, symmetric about zero or about the nominal value where both signs occur, so that the mirror
 image of an episode is as likely as the episode.
@@ -87,7 +87,7 @@ pub(super) fn holds(range: &HeldFeet, length_s: f64, rng: &mut impl Rng) -> Vec<
     let mut within = |[low, high]: [f64; 2]| rng.random_range(low..=high);
     let mut holds = Vec::new();
     for leg in 0..LEGS.len() {
-        // Times between zero and a gap, not between a shortest and a longest one, so that a start is no special time.
+        // The first time is drawn from zero to the longest gap, so that the start of an episode is no special time.
         let mut time_s = within([0.0, range.gap_s[1]]);
         while time_s < length_s {
             let until_s = time_s + within(range.duration_s);

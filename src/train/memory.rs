@@ -91,11 +91,11 @@ impl MemoryEstimate {
         self.environments.saturating_add(self.samples).saturating_add(self.networks)
     }
 
-    /// Checks that the machine has enough memory. If it may be too little, because it depends on what the system gives back,
-    /// returns the error that it may come to.
+    /// Checks that the machine has enough memory. If it may have too little, depending on the caches that the system frees, returns the
+    /// error as a warning.
     ///
     /// # Errors
-    /// The run needs more memory than can be had; the error names both and the keys to lower.
+    /// The run needs more memory than is available; the error names both and the keys to lower.
     pub fn check(self) -> Result<Option<MemoryError>, MemoryError> {
         let Some(FreeMemory { surely, at_most }) = FreeMemory::now() else { return Ok(None) };
         let total = self.total();

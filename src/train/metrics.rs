@@ -141,7 +141,7 @@ impl EpisodeMeans {
 impl EpisodeMeans {
     /// Advances the curriculum if these episodes reached its gates.
     pub fn advance(&self, curriculum: &mut Curriculum, config: &Config) {
-        // The few that walk among many that fall are no measure.
+        // The mean of a few that walk among many that fall is not representative.
         if let Some(mean) = self.walking_linear.filter(|_| 2 * self.walks >= self.episodes) {
             curriculum.update(mean, config);
         }

@@ -64,13 +64,13 @@ const LOCK: &str = "lock";
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
     /// The path is a run already.
-    #[error("{path} exists already: go on with --resume {path}, or choose another folder with --out", path = .0.display())]
+    #[error("{path} exists already: continue it with --resume {path}, or choose another folder with --out", path = .0.display())]
     Exists(PathBuf),
     /// The path exists and is not a run.
     #[error("{} exists already and is not a training run; choose another folder with --out", .0.display())]
     Taken(PathBuf),
     /// The path is not a run that could be resumed.
-    #[error("{} is not a run's folder: it has no checkpoint to go on from", .0.display())]
+    #[error("{} is not a run's folder: it has no checkpoint to resume from", .0.display())]
     NotARun(PathBuf),
     /// The folder mixes files of different runs.
     #[error("{}: two runs are mixed: {problem}", path.display())]
@@ -171,11 +171,11 @@ impl RunFolder {
         let (kept, lost) = metrics_up_to(path, &checkpoint)?;
         notes.extend(lost);
         if let Some(reason) = &passed_over {
-            notes.push(format!("{reason}; going on from the checkpoint before it"));
+            notes.push(format!("{reason}; continuing from the checkpoint before it"));
         }
-        // Nothing is changed before everything is known to be in order.
+        // Nothing is changed before all checks have passed.
         if passed_over.is_some() && path.join(NEWEST).exists() {
-            // Else the next checkpoint would make the damaged one the one to fall back to.
+            // Otherwise, the next checkpoint would make the damaged one the fallback.
             let damaged = path.join(DAMAGED);
             fs::rename(path.join(NEWEST), &damaged).map_err(at(&damaged))?;
         }
@@ -375,7 +375,7 @@ fn check_identity(path: &Path, checkpoint: &Checkpoint, notes: &mut Vec<String>)
     let about = match read.and_then(|text| serde_json::from_str::<About>(&text).map_err(|error| error.to_string())) {
         Ok(about) => about,
         Err(error) => {
-            notes.push(format!("{}: {error}; the checkpoint alone says what the run is", path.join(ABOUT).display()));
+            notes.push(format!("{}: {error}; only the checkpoint identifies the run", path.join(ABOUT).display()));
             return Ok(());
         }
     };
@@ -393,8 +393,8 @@ fn check_identity(path: &Path, checkpoint: &Checkpoint, notes: &mut Vec<String>)
     Ok(())
 }
 
-/// Checks that the configuration in the folder is that of the checkpoint, and takes over its length of the run and its name of
-/// the robot, whose file may lie elsewhere on another machine.
+/// Checks that the configuration in the folder is that of the checkpoint, and takes over its length of the run and its name of the robot:
+/// the robot's file may be in another place on another machine.
 fn check_config(path: &Path, checkpoint: &mut Checkpoint, notes: &mut Vec<String>) -> Result<(), RunError> {
     let file = path.join(CONFIG);
     let name = file.display().to_string();

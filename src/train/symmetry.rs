@@ -16,7 +16,7 @@ use crate::robot::{JOINTS, Joints, Robot, joint_name};
 /// The reason why a robot and its observation have no mirror image.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum SymmetryError {
-    /// A joint stands otherwise than its mirror image.
+    /// The angle of a joint is not that of its mirror image.
     #[error(
         "{} is {} and {} is {} in action.nominal_pose_rad, which leans to one side",
         joint_name(joints[0]), angles_rad[0], joint_name(joints[1]), angles_rad[1]

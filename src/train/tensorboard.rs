@@ -37,9 +37,8 @@ impl EventWriter {
         Ok(writer)
     }
 
-    /// Writes the values of a step, each a (tag, value) pair; they are in the file when this returns. The first call
-    /// also marks its step as the session's start: TensorBoard forgets what earlier files of the directory hold for
-    /// this step and later ones.
+    /// Writes the values of a step, each a (tag, value) pair; they are in the file when this returns. The first call also marks its step as
+    /// the session's start: TensorBoard drops what earlier files of the directory hold for this step and later ones.
     ///
     /// # Errors
     /// The file cannot be written.

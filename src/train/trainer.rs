@@ -61,7 +61,7 @@ pub enum TrainError {
     Learner {
         /// Number of finished iterations.
         iteration: u64,
-        /// The fault that the update met.
+        /// The fault of the update.
         fault: Box<UpdateFault>,
         /// The minibatch that failed, as CSV with a row for each sample; empty if no single minibatch failed.
         minibatch: String,

@@ -32,7 +32,7 @@ impl<S> StepMeter<'_, S> {
             trunk: self.sums.trunk / substeps,
             feet: match self.measures_contacts {
                 true => self.sums.feet.map(|sum| sum / substeps),
-                // What is not known is no zero.
+                // Forces that are not measured are NaN, not zero.
                 false => [Vector3::repeat(f64::NAN); 4],
             },
             obstacle_impulse_n_s: self.sums.obstacle_impulse_n_s * period_s / substeps,

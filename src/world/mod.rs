@@ -1,11 +1,11 @@
-/*! The world: a simulated robot, what disturbs it, what it truly feels, and what it is paid.
+/*! The world: a simulated robot, its disturbances, the true forces on it, and its reward.
 
 Training and playback both step a [`World`]: an environment adds the plan of an episode, observers and curricula; a playback
 adds a controller, sensors and a trace. One call of [`World::step`] makes the disturbances act, runs the physics of one policy
 step, and measures: forces, the terms of the reward, and events.
 
-The world remembers what the reward needs beyond the present state: the state and the joint targets before, and the swings of
-the feet. It saves them, and what each disturbance remembers, with the simulation, so that it goes on with the same bits.
+The world stores what the reward needs beyond the present state: the state and the joint targets before, and the swings of the feet. It
+saves them, and the memory of each disturbance, with the simulation, so that it continues with the same bits.
 */
 
 pub mod disturbance;
@@ -48,7 +48,7 @@ pub struct WorldStep {
     pub rope: Option<Rope>,
     /// The spring, if the world has one and it has begun.
     pub spring: Option<SpringState>,
-    /// How what acts is drawn.
+    /// The drawn mark of the present disturbance.
     pub mark: Option<DisturbanceMark>,
     /// Events of the disturbances.
     pub events: Vec<Event>,
@@ -187,8 +187,8 @@ impl World {
         }
     }
 
-    /// Runs one policy step towards joint targets \[rad\]: disturbs, simulates, measures. `command`, or the reference that
-    /// follows from it, is what the robot is paid for; `sensors` is called after each physics step, with the torques in it [N·m].
+    /// Runs one policy step towards joint targets \[rad\]: disturbs, simulates, measures. The reward compares with `command`, or
+    /// with the reference that follows from it; `sensors` is called after each physics step, with the torques in it [N·m].
     ///
     /// # Errors
     /// A target is not finite, or MuJoCo fails; then begin anew.
@@ -223,7 +223,7 @@ impl World {
         forces.trunk += impulse / at.period_s;
         let (rope, spring, mark) = self.after_step(touched, &mut forces, &mut events);
         self.disturbances.retain(|it| !it.is_over(at));
-        // What a perfect observer of forces would find.
+        // The felt force of a perfect observer.
         let felt = self.state.heading().inverse() * forces.trunk;
         self.state.felt_force = Some([felt.x, felt.y]);
         let mut paid = *command;
@@ -256,7 +256,7 @@ impl World {
         }
     }
 
-    /// Takes from the disturbances what they did in the step.
+    /// Collects the effects of the disturbances in the step.
     fn after_step(
         &mut self,
         touched: Option<usize>,
@@ -312,12 +312,12 @@ impl World {
         self.sim.data_mut().set_time_s(0.0);
     }
 
-    /// Returns the state after the last step. The felt force is the true one unless [`World::set_felt_force`] says otherwise.
+    /// Returns the state after the last step. The felt force is the true one unless [`World::set_felt_force`] replaced it.
     pub fn state(&self) -> &RobotState {
         &self.state
     }
 
-    /// Replaces the force on the trunk that the robot feels, forward and left in the heading frame \[N\].
+    /// Replaces the felt force on the trunk, forward and left in the heading frame \[N\].
     pub fn set_felt_force(&mut self, force: Option<[f64; 2]>) {
         self.state.felt_force = force;
     }
@@ -371,7 +371,7 @@ impl World {
         }
     }
 
-    /// Goes on from the saved state of an undisturbed world, with the disturbances of this one to come.
+    /// Continues from the saved state of an undisturbed world, with the disturbances of this one to come.
     ///
     /// # Errors
     /// The same as those of [`World::restore`].
@@ -385,7 +385,7 @@ impl World {
     /// Restores a saved state.
     ///
     /// # Errors
-    /// The state belongs to another model, no world could have come to it, or MuJoCo fails in it.
+    /// The state belongs to another model or is impossible, or MuJoCo fails in it.
     pub fn restore(&mut self, state: &WorldState) -> Result<()> {
         let last = LEGS.len() - 1;
         if let Some(Acting::Hold(hold, _)) =

@@ -234,7 +234,7 @@ fn errors_name_file_line_and_key_once() {
     let none = refused("train", folder.path(), &["--resume", "empty"], "empty is not a run's folder");
     assert!(!none.contains("--out"), "{none}");
     refused("train", folder.path(), &["--resume", "nowhere"], "nowhere is not a run's folder");
-    refused("train", folder.path(), &[&start[..], &["run"]].concat(), "go on with --resume run");
+    refused("train", folder.path(), &[&start[..], &["run"]].concat(), "continue it with --resume run");
 }
 
 #[test]

@@ -158,7 +158,7 @@ fn nonfinite_gradient_stops_the_run_with_a_whole_checkpoint() {
     let output = run("train", folder.path(), &["--config", "wild.yaml", "--samples", "5120", "--out", "run"]);
     assert_eq!(output.status.code(), Some(2));
     let words = complaint(&output);
-    assert!(words.contains("training failed; what led there is in run/fault.json"), "{words}");
+    assert!(words.contains("training failed; the diagnosis is in run/fault.json"), "{words}");
     // Resuming would do the same again.
     assert!(words.contains("start a new run with another --seed") && !words.contains("--resume run"), "{words}");
     assert_eq!(words.lines().count(), 1);

@@ -252,7 +252,7 @@ fn words_that_cannot_be_translated_are_refused_with_line_and_version() {
     for (robot, words) in [
         (
             Foreign { parts: "<replicate count='2'><geom size='1'/></replicate>", ..foreign() },
-            "line 6: <replicate> needs MuJoCo 3.1.5, and robots are read in the words of 2.2.2; save the robot from that MuJoCo",
+            "line 6: <replicate> needs MuJoCo 3.1.5, and robots are read as MJCF of 2.2.2; save the robot from that MuJoCo",
         ),
         (Foreign { parts: "\n<attach model='m' prefix='p'/>", ..foreign() }, "line 7: <attach> needs MuJoCo 3.2"),
         (Foreign { parts: "<geom type='sdf'/>", ..foreign() }, "sdf of <geom> needs MuJoCo 3.0"),
@@ -811,7 +811,7 @@ fn every_part_whose_inertia_changes_is_named() {
     let own = Foreign { compiler: "angle='radian' balanceinertia='true'", ..foreign() };
     assert_eq!(line(&read(&unbalanced(own.mjcf())).unwrap(), "settings").unwrap(), format!("{change} {calves}"));
     let text = urdf("<sphere radius='0.02'/>").replace("ixx='0.002' iyy='0.002'", "ixx='0.001' iyy='0.002'");
-    let expected = format!("inertia of {calves}: no body has it (A + B < C); its three moments made equal");
+    let expected = format!("inertia of {calves}: physically impossible (A + B < C); its three moments made equal");
     assert_eq!(line(&load(&[("robot.urdf", &text)]).unwrap(), "inertia of"), Some(expected));
 }
 

@@ -194,7 +194,7 @@ fn a_damaged_checkpoint_falls_back_to_the_one_before() {
     std::fs::write(&newest, &bytes).unwrap();
 
     let output = success(run("train", folder.path(), &["--resume", "run", "--samples", "1792"]));
-    assert!(complaint(&output).contains("going on from the checkpoint before it"), "{}", complaint(&output));
+    assert!(complaint(&output).contains("continuing from the checkpoint before it"), "{}", complaint(&output));
     assert_eq!(metrics(&folder.path().join("run")).len(), 7);
     let text = |name: &str| std::fs::read(folder.path().join("run").join(name)).unwrap();
     assert_eq!(text("checkpoint.damaged.safetensors"), bytes);

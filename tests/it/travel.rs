@@ -97,7 +97,7 @@ fn import_report_lists_what_was_left_out() {
         "actuators: 12 (12 of them servos) replaced by torque motors",
         "limits 23.7 N m (hip, thigh) and 35.5 N m (calf)",
         "condim 6, priority 1, friction 0.8 0.02 0.01",
-        "cone elliptic, impratio 100 give way",
+        "cone elliptic, impratio 100 replaced by ours",
         "geom 'floor' left out",
         "keyframe, base at 0.287 m",
     ] {

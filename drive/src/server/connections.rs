@@ -72,7 +72,7 @@ impl Connections {
     }
 }
 
-/// Returns what one client has of an address: all of it, or the first 64 bits of an IPv6 address.
+/// Returns the part of an address that stands for one client: all of it, or the first 64 bits of an IPv6 address.
 fn network(address: IpAddr) -> IpAddr {
     match address.to_canonical() {
         IpAddr::V6(address) => IpAddr::V6((u128::from(address) >> 64 << 64).into()),

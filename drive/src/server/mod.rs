@@ -57,12 +57,12 @@ struct Shared {
 }
 
 /// Starts to serve pages and viewers on a thread of its own until the program ends; port 0 takes any free one. Returns the address to open
-/// in a browser, and the runtime for other tasks. New pages are told `hello`: the names of the shipped `policies`; the
-/// `scenes` that can be chosen; `most`, the largest push [m/s] and [N·s] and the largest pull \[N\]; `viewer`, true if the page embeds the
-/// viewer; `is_served`, true if another program plays the robot: the page cannot change robots, scene or time, nor save.
+/// in a browser, and the runtime for other tasks. New pages receive `hello`: the names of the shipped `policies`; the `scenes` that can be
+/// chosen; `most`, the largest push [m/s] and [N·s] and the largest pull \[N\]; `viewer`, true if the page embeds the viewer; `is_served`,
+/// true if another program plays the robot: the page cannot change robots, scene or time, nor save.
 ///
 /// # Errors
-/// The port cannot be opened, no thread can be had, or the clock of this machine is before 1970.
+/// The port cannot be opened, no thread can be started, or the clock of this machine is before 1970.
 pub fn start(
     ip: IpAddr,
     port: u16,
@@ -71,7 +71,7 @@ pub fn start(
     hello: Value,
 ) -> Result<(String, Handle)> {
     anyhow::ensure!(is_clock_right(), "cannot serve pages: the clock of this machine is before 1970; set it");
-    // On a thread of our own: one that cannot be had is then no panic.
+    // On our own thread, so that a failure to start one is no panic.
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let at = || format!("cannot listen on port {port} of {ip}; choose another port with --port");
     let listener = runtime.block_on(TcpListener::bind((ip, port))).with_context(at)?;
@@ -109,7 +109,7 @@ fn url(mut address: SocketAddr, token: &Token) -> String {
 /// Starts a thread.
 ///
 /// # Errors
-/// None can be had.
+/// The system cannot start one.
 pub fn start_thread(name: &str, work: impl FnOnce() + Send + 'static) -> Result<()> {
     let started = thread::Builder::new().name(name.to_owned()).spawn(work);
     started.map(drop).with_context(|| format!("cannot start the thread for {name}"))

@@ -47,7 +47,7 @@ pub(super) async fn control(State(shared): State<Shared>, upgrade: WebSocketUpgr
     })
 }
 
-/// Opens the socket of a viewer. One that was just closed may still be about to end.
+/// Opens the socket of a viewer. It waits for a place, as one that was just closed may take a moment to end.
 pub(super) async fn view(State(shared): State<Shared>, upgrade: WebSocketUpgrade) -> Response {
     let permits = Arc::clone(&shared.viewer_permits);
     let Ok(Ok(permit)) = timeout(PATIENCE, permits.acquire_owned()).await else { return full() };
@@ -137,7 +137,7 @@ async fn feed(mut socket: WebSocket, shared: &Shared, permit: OwnedSemaphorePerm
     let notices = shared.robots.clone();
     let work = move || {
         if let Err(error) = viewer_stream::to_channel(updates, &runtime, &files) {
-            // The robots go on without this viewer.
+            // The robots continue without this viewer.
             let _ = notices.try_send(Message::Notice(format!("a viewer stopped: {error}")));
         }
         mujoco::release_memory();

@@ -16,7 +16,7 @@ const SIZE: [usize; 2] = [320, 240];
 /// The times of the pictures, from the fall on \[s\].
 const TIMES_S: [f64; 6] = [-0.75, -0.45, -0.25, -0.1, 0.0, 0.25];
 
-/// How long the playback goes on after the fall \[s\].
+/// The length of the playback after the fall \[s\].
 const AFTER_FALL_S: f64 = 0.3;
 
 /// The reason why there is no film strip.
@@ -31,7 +31,7 @@ pub enum FilmError {
     /// The scene cannot be drawn.
     #[error(transparent)]
     Picture(#[from] mujoco::Error),
-    /// The robot does not fall when the trial is played again, which a policy with a state outside this program may do.
+    /// The robot does not fall when the trial is played again, as a policy may have a state outside this program.
     #[error("the robot does not fall when the trial is played again")]
     NoFall,
     /// The strip cannot be encoded.

@@ -29,13 +29,13 @@ use supple::robot::JointLosses;
 use supple::scenario::Sensing;
 use supple::scenario::catalog::Scenario;
 
-/// The largest relative distance between the measured and the commanded compliance in a passed trial.
+/// The largest relative difference between the measured and the commanded compliance in a passed trial.
 const COMPLIANCE_TOLERANCE: f64 = 0.25;
 
 /// The largest velocity error in a passed trial of walking \[m/s\].
 const ERROR_BOUND_M_S: f64 = 0.1;
 
-/// How the robot is played.
+/// The state that the policy acts on, and the losses in the joints.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Way {
     /// On the true state.
@@ -86,7 +86,7 @@ pub struct Discipline {
     pub name: &'static str,
     /// A description of the trials and of a passed one.
     pub description: &'static str,
-    /// The experiments by name, how they are played, and what is to be shown.
+    /// The experiments by name, with their [`Way`] and the rule by which a trial is passed.
     parts: &'static [(&'static str, Way, Pass)],
 }
 
@@ -205,7 +205,7 @@ pub struct Examination {
     pub grades: Vec<Grade>,
     /// The numbers in the order of the measures.
     pub measures: Vec<Measured>,
-    /// Notes about the policies, and about what was not played.
+    /// Notes about the policies, and about disciplines that were not played.
     pub notes: Vec<String>,
     /// The faults in the trials, which count as not passed.
     pub faults: Vec<String>,
@@ -226,7 +226,7 @@ pub struct Part<'a> {
 /// An examination: the policies and the protocol.
 #[derive(Debug)]
 pub struct Exam {
-    /// Notes about the policies, and about what is not played.
+    /// Notes about the policies, and about disciplines that are not played.
     pub notes: Vec<String>,
     protocol: Protocol,
     /// The same protocol for robots that act on the true state, with one undisturbed walk at each command.
@@ -239,7 +239,7 @@ pub struct Exam {
 }
 
 impl Exam {
-    /// Reads the examined policy, a path as that of a set of policies, and the shipped references for its robot.
+    /// Reads the examined policy, whose path has the form of a set's, and the shipped references for its robot.
     ///
     /// # Errors
     /// The policy cannot be read, commands a compliance that it does not support, or the path stands for several policies.
@@ -275,7 +275,7 @@ impl Exam {
         discipline.parts.iter().filter(move |(_, way, _)| can_sense || *way != Sensors)
     }
 
-    /// Returns what is played: experiments with the policies and the state they act on, each once.
+    /// Returns all experiments to play, each once, with their policies and the state that these act on.
     pub fn parts(&self) -> Vec<Part<'_>> {
         let parts =
             DISCIPLINES.iter().flat_map(|discipline| self.playable(discipline)).map(|(name, way, _)| (*name, *way));

@@ -34,7 +34,7 @@ pub fn save(examination: &Examination, film: Option<&Film>, command: &str, folde
     let fall = folder.join("fall.png");
     match film {
         Some(film) => write(&fall, &film.png)?,
-        // One that an earlier examination left is not of this policy.
+        // A film that an earlier examination left shows another policy.
         None => drop(std::fs::remove_file(fall)),
     }
     write(&folder.join("exam.html"), page(examination, film, &figure.svg, command).as_bytes())
@@ -80,8 +80,8 @@ fn page(examination: &Examination, film: Option<&Film>, figure: &str, command: &
     let content = html! {
         (sets_table(&examination.training))
         p {
-            "The percentage of trials that each policy passes, with Wilson's 95 % interval over the trials of that one policy. All \
-             policies play the same trials, in simulation. What the words mean: docs/experiments.md."
+            "The percentage of trials that each policy passes, with Wilson's 95 % interval over the trials of that one \
+             policy. All policies play the same trials, in simulation. Definitions: docs/experiments.md."
         }
         @for note in examination.notes.iter().chain(&examination.faults) { p.note { (note) } }
         figure { (PreEscaped(figure)) }
@@ -153,7 +153,7 @@ fn figure(examination: &Examination) -> String {
             let y = top + BAR * set as f64;
             let style = Text::new(SMALL - 1.5, Anchor::Start);
             let Some(fraction) = score.fraction() else {
-                let why = if score.trials == 0 { "not played" } else { "cannot be commanded" };
+                let why = if score.trials == 0 { "not played" } else { "compliance not supported" };
                 svg.text([x(0.0) + 4.0, y + BAR - 3.0], why, Text { colour: GREY, ..style });
                 continue;
             };

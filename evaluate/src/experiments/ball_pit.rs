@@ -58,12 +58,12 @@ impl Experiment for BallPit {
     fn info(&self) -> ExperimentInfo {
         ExperimentInfo {
             paper: "Fig. 7a",
-            method: "At 0.4 m/s across 20 by 20 rigid balls of 0.5 kg and 5 cm radius, 3 cm apart, or across a field \
-                     of the same size of the balls that the protocol names. The robot is across when its trunk passes \
-                     the last row (a second later the trial ends), and stuck if it neither gets there nor falls in \
-                     the time it has. Time, peak foot force and power are from the first row to past the last; a \
-                     trial that does not get across has none, nor has one that leaves the balls at their side. Each \
-                     trial starts at another distance, so that the gait meets the balls at another phase.",
+            method: "The robot walks at 0.4 m/s across 20 by 20 rigid balls of 0.5 kg and 5 cm radius, 3 cm apart, or \
+                     across a field of the same size with other balls. It is across when its trunk passes the last \
+                     row; the trial ends a second later. It is stuck if it neither gets across nor falls within the \
+                     trial. Time, peak foot force and power are measured from the first row to past the last. They are \
+                     undefined if the robot does not get across, or leaves the field at its side. Each trial starts at \
+                     another distance, so that the gait meets the balls at another phase.",
             ..ExperimentInfo::new("E7", 7, "ball-pit", "Ball pit", QUANTITIES, self.trials)
         }
     }

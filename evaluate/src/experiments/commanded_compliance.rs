@@ -35,10 +35,10 @@ const SLOPE_ERROR: Quantity = Quantity::new("slope_error", "slope, distance from
 /// The part of the measured compliance's variance that the line leaves unexplained, in claims.
 const UNEXPLAINED: Quantity = Quantity::new("unexplained", "1 − R²", "", 3);
 
-/// The largest distance of the slope from 1 at which a policy yields as commanded: of the mean over directions, and of an axis.
+/// The largest distances of the slope from 1 for a policy that yields as commanded: mean over directions, and one axis.
 const SLOPE_BOUNDS: [f64; 2] = [0.05, 0.15];
 
-/// The largest part that the line may leave unexplained.
+/// The largest unexplained part of the variance for a policy that yields as commanded.
 const UNEXPLAINED_BOUND: f64 = 0.02;
 
 /// The directions over which the compliance of a setting is averaged.
@@ -51,8 +51,8 @@ enum Over {
 }
 
 impl Over {
-    /// Returns the compliance of a setting from the compliance along each of the directions that divide the circle evenly. With
-    /// the compliances a forward and b left, it is a cos² θ + b sin² θ along a direction: the axes are those of the best fit.
+    /// Returns the compliance of a setting from its compliances along directions θ that divide the circle evenly. The forward and left
+    /// compliances, a and b, are those of the least-squares fit of a cos² θ + b sin² θ.
     fn compliance(self, measured: &[f64]) -> Option<f64> {
         let Over::Axis(axis) = self else { return mean(measured.iter().copied()) };
         let parts = evenly(measured.len() as u32).into_iter().map(|side| side.to_radians().cos().powi(2));
@@ -118,8 +118,8 @@ impl CommandedCompliance {
         command * count..(command + 1) * count
     }
 
-    /// Returns true if a robot of the first two sets fell, or a trial of theirs failed, in the fit at one forward command. A line
-    /// leaves out what has no number.
+    /// Returns true if a robot of the first two sets fell, or a trial of theirs failed, in the fit at one forward command. Such trials have
+    /// no number, so the line omits them.
     fn fails_in_fit(&self, results: &Results, command: usize) -> bool {
         let fitted: Vec<usize> = self.pulls(command).filter(|pull| is_fitted(&results.conditions[*pull])).collect();
         let policies = results.sets.iter().take(2).flat_map(BTreeMap::values);
@@ -169,12 +169,12 @@ impl Experiment for CommandedCompliance {
         ExperimentInfo {
             method: "The robot has a commanded compliance, standing and walking at 0.5 m/s, and is pulled by constant \
                      horizontal forces from all around. The compliance is the mean of (v − v*)·F/|F|² over the last \
-                     seconds of the pull. Lines are fitted to each policy's means over all directions, over the \
-                     commanded compliance c and the forces F, as far as c·F is at most 0.5 m/s: no robot is pulled \
-                     faster than it can walk. The compliances forward and left, a and b, have lines of their own; they \
-                     fit a cos² θ + b sin² θ best over all directions θ. With the same commands, it is also pushed ahead \
-                     and to the left by Δv = 0.5 m/s: an ideal robot takes 2.3·m·c until a tenth of the push is left, and \
-                     is carried by c·m·Δv.",
+                     seconds of the pull. For each policy, a line is fitted to the means over all directions against \
+                     the commanded compliance c. Only pulls with c·F of at most 0.5 m/s count, so that no robot is \
+                     pulled faster than it can walk. The forward and left compliances, a and b, are the best fit of a \
+                     cos² θ + b sin² θ over all directions θ; they have their own lines. With the same commands, the \
+                     robot is also pushed ahead and to the left by Δv = 0.5 m/s. An ideal robot is carried by c·m·Δv, \
+                     and a tenth of the push is left after 2.3·m·c.",
             ..ExperimentInfo::new("E13", 14, "calibration", "Compliance as commanded", QUANTITIES, self.trials)
         }
     }
@@ -280,10 +280,9 @@ impl Experiment for CommandedCompliance {
         let svg = curves::draw("Measured over commanded compliance", &panels, words[0], words[1]);
         section.figure(
             "",
-            "Measured over commanded compliance: mean over policies, directions and forces, and the range from the \
-             direction and force with the least to that with the largest: a band, or a bar where there is one \
-             compliance. Dashed: the commanded compliance. Policies are not played beyond the compliances that they \
-             were calibrated for (policy calibrate).",
+            "Measured over commanded compliance: mean over policies, directions and forces, and the range over \
+             directions and forces: a band, or a bar for a single compliance. Dashed: the commanded compliance. \
+             Policies are not played beyond the compliances that they were calibrated for (policy calibrate).",
             svg,
         );
     }
@@ -325,7 +324,7 @@ mod tests {
             experiment.content(results).claims.iter().map(|claim| claim.verdict).collect()
         };
         assert_eq!(verdicts(&results), [Verdict::Holds; 4]);
-        // In one of four directions: the points that are left lie on the line as before.
+        // One of four directions is lost; the remaining points lie on the same line.
         let fallen = &mut results.sets[1].get_mut(&0).unwrap()[0][0];
         (fallen.end, fallen.values[0]) = (TrialEnd::Fell, None);
         assert_eq!(verdicts(&results), [Verdict::Fails; 4]);

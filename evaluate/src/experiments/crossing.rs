@@ -1,9 +1,9 @@
-//! The measurements of a way across loose obstacles that E7 and E11a share.
+//! The measurements of a walk across loose obstacles, shared by E7 and E11a.
 
 use super::prelude::*;
 use crate::trial::TrialEnd;
 
-/// The numbers of a trial in which the robot is to get across obstacles.
+/// The numbers of a trial across obstacles.
 pub(super) struct Crossing {
     /// True if the robot got across, and nothing failed until the end of the trial.
     pub(super) is_across: bool,

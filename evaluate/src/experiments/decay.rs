@@ -47,9 +47,10 @@ impl Experiment for Decay {
                      and, in a second condition, by a steady force within 0.1 s. e(t) is the velocity along the \
                      push minus its mean over the last second before, smoothed by a centred moving average of 0.4 s, \
                      about a stride. Decay time is the last time after the push at which |e| exceeds 10 % (and 20 %) \
-                     of the push; a trial with a fall has none, and a push that lasts to the end counts as lasting \
-                     until there. Without threshold and average: how far the push carries the robot, the integral of \
-                     e(t) over 2 s. The figure shows the unsmoothed velocity of one policy's runs.",
+                     of the push; a trial with a fall has none, and a push that has not decayed by the end counts with \
+                     the time until then. A measure without threshold and average is the distance that the push \
+                     carries the robot, the integral of e(t) over 2 s. The figure shows the unsmoothed velocity of one \
+                     policy's runs.",
             ..ExperimentInfo::new("E2", 2, "decay", "Decay of a sideways push", QUANTITIES, self.trials)
         }
     }

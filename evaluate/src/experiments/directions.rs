@@ -6,7 +6,7 @@ use supple::scenario::catalog::PushTrunk;
 use supple::scenario::metrics::BRIEF_S;
 use supple::task::Command;
 
-/// The decay time of a push to a standing robot, with a shorter moving average than elsewhere.
+/// The decay time of a push to a standing robot, with a moving average of 0.1 s instead of 0.4 s.
 const BRIEFLY_AVERAGED: Quantity =
     Quantity::new("decay_10_averaged_0_1_s", "decay to 10 %, averaged over 0.1 s", "s", 2);
 

@@ -32,7 +32,7 @@ const OF_PULLS: usize = 3;
 /// The time after which a pull is steady: five time constants of the felt force \[s\].
 const STEADY_S: f64 = 0.5;
 
-/// The time over which a blow is felt \[s\].
+/// The time after a push or blow over which forces are compared \[s\].
 const BLOW_S: f64 = 1.0;
 
 /// The time before a fall that does not count: a falling robot may touch the ground with anything \[s\].
@@ -60,7 +60,7 @@ pub struct Felt {
     pub inclines: Vec<f64>,
     /// The height of the uneven ground, peak to peak \[m\].
     pub terrain_m: f64,
-    /// The masses on the trunk that the robot does not know of \[kg\].
+    /// The masses added to the trunk but not to the observer's model \[kg\].
     pub extra_masses_kg: Vec<f64>,
     pub trials: u32,
 }
@@ -72,7 +72,7 @@ enum Role {
     Steady,
     /// Other pulls and blows.
     Pulled,
-    /// Walks on the flat without a pull.
+    /// Walks on flat ground without a pull.
     Calm,
     /// Slopes and other masses without a pull.
     Other,
@@ -176,7 +176,7 @@ impl Felt {
     }
 }
 
-/// Returns true if something pulls the robot of a trial, and the time over which forces count \[s\]: that of the pull, if it came.
+/// Returns true if the trial has a pull or blow, and the time over which forces are compared \[s\]; none if no blow landed.
 fn window_s(trial: &Trial) -> (bool, Option<[f64; 2]>) {
     let pulled_s = match trial.scenario {
         Scenario::Leash(leash) => Some([leash.at_s + STEADY_S, leash.at_s + leash.for_s]),
@@ -190,8 +190,7 @@ fn window_s(trial: &Trial) -> (bool, Option<[f64; 2]>) {
     (true, pulled_s)
 }
 
-/// Returns the forces that can be trusted, and the fraction of those that cannot, over a time that ends half a second before
-/// a fall.
+/// Returns the forces that are not in doubt, and the fraction that is, over a time that ends half a second before a fall.
 fn forces(trial: &Trial, [from_s, until_s]: [f64; 2]) -> (Vec<FeltForces>, Option<f64>) {
     let fall_s = trial.trace.fall().map_or(f64::INFINITY, |fall| fall.time_s - BEFORE_FALL_S);
     let felt = |frame: &Frame| frame.felt;
@@ -207,7 +206,7 @@ fn error(felt: &FeltForces) -> [f64; 3] {
     std::array::from_fn(|axis| felt.force[axis] - felt.true_force[axis])
 }
 
-/// Returns error, force along the true one and gain of the forces felt while something pulls, in the horizontal plane.
+/// Returns RMSE \[N\], felt force along the true one \[N\] and gain under a pull, in the horizontal plane.
 fn while_pulled(forces: &[FeltForces]) -> [Option<f64>; OF_PULLS] {
     let product = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1];
     let squares = mean(forces.iter().map(|felt| product(error(felt), error(felt))));
@@ -217,8 +216,8 @@ fn while_pulled(forces: &[FeltForces]) -> [Option<f64>; OF_PULLS] {
     [squares.map(f64::sqrt), along.map(|(work, truth)| work / truth.sqrt()), along.map(|(work, truth)| work / truth)]
 }
 
-/// Returns mean and standard deviation (larger of forward and left), the 95 % quantile of the horizontal force, the means and
-/// the standard deviations of each axis, of the forces felt beyond the true ones.
+/// Returns statistics of the felt minus the true force \[N\]: mean and standard deviation (larger of forward and left), 95 % quantile of
+/// the horizontal force, then means and standard deviations by axis.
 fn while_not_pulled(forces: &[FeltForces]) -> [Option<f64>; 9] {
     let means: [Option<f64>; 3] = std::array::from_fn(|axis| mean(forces.iter().map(|felt| error(felt)[axis])));
     let deviations = [0, 1, 2].map(|axis| {
@@ -237,13 +236,13 @@ fn while_not_pulled(forces: &[FeltForces]) -> [Option<f64>; 9] {
 impl Experiment for Felt {
     fn info(&self) -> ExperimentInfo {
         ExperimentInfo {
-            method: "The robot feels the force on its trunk from joints, motors and IMU. Felt and true force, both in the \
-                     heading frame and low-passed over 0.1 s, are compared in the horizontal plane: while a pull is \
-                     steady (from half a second after its start), and for a second after a push or blow. Where nothing \
-                     pulls (from 2 s on), all that is felt beyond the true contact force on the trunk is an error. Frames \
+            method: "The robot feels the force on its trunk from joints, motors and IMU. Felt and true force, both in \
+                     the heading frame and low-passed over 0.1 s, are compared in the horizontal plane: while a pull \
+                     is steady (from half a second after its start), and for a second after a push or blow. Without a \
+                     pull, from 2 s on, the error is the felt force minus the true contact force on the trunk. Frames \
                      that the observer marks as doubtful are counted and left out, and so is the last half second \
                      before a fall.",
-            ..ExperimentInfo::new("E15", 18, "felt", "What the robot feels", QUANTITIES, self.trials)
+            ..ExperimentInfo::new("E15", 18, "felt", "Felt force", QUANTITIES, self.trials)
         }
     }
 
@@ -301,7 +300,7 @@ impl Experiment for Felt {
             ),
             (
                 "On balls, rubble and uneven ground",
-                "what robots of both sets feel beyond the true force is for 95 % of the time",
+                "the felt minus the true force of both sets is for 95 % of the time",
                 "q95_n",
                 [5.0; 2],
                 &rough,
@@ -348,9 +347,8 @@ impl Experiment for Felt {
         let svg = curves::draw("Felt over true force", &panels, "true force [N]", "felt along it [N]");
         section.figure(
             "",
-            "Felt over true force on the trunk under steady pulls: mean over policies, commands and directions, and the \
-             range from the command and direction that feels least to the one that feels most: a band, or a bar where \
-             there is one force. Dashed: equal forces.",
+            "Felt over true force on the trunk under steady pulls: mean over policies, commands and directions, and \
+             the range over commands and directions: a band, or a bar for a single force. Dashed: equal forces.",
             svg,
         );
         let by_gait = [0.0, 1.0].map(|command| {
@@ -370,7 +368,7 @@ impl Experiment for Felt {
             located.into_iter().filter(|(role, _)| !is_pulled(*role)).map(|(_, group)| group).collect();
         section.grouped_dots(
             "unpulled",
-            "What robots feel beyond the true force on the trunk though nothing pulls",
+            "Felt minus true force on the trunk without a pull",
             &unpulled,
             &["mean_n", "sd_n", "q95_n"],
             "Mean and standard deviation are the larger of forward and left, the quantile is of the horizontal force.",
@@ -389,7 +387,7 @@ mod tests {
 
     #[test]
     fn error_and_gain_are_those_of_the_horizontal_force() {
-        // Off by (3, 4) and by nothing: √(25 / 2). Along the true force of 10 N: 13 and 10; the gain is 11.5 / 10.
+        // Errors (3, 4) and (0, 0): √(25 / 2). Along the true force of 10 N: 13 and 10; the gain is 11.5 / 10.
         let forces = [felt([13.0, 4.0, 9.0], [10.0, 0.0, 0.0]), felt([10.0, 0.0, 0.0], [10.0, 0.0, 0.0])];
         let [rmse, along, gain] = while_pulled(&forces).map(Option::unwrap);
         assert!((rmse - 12.5_f64.sqrt()).abs() < 1e-12 && (along - 11.5).abs() < 1e-12 && (gain - 1.15).abs() < 1e-12);

@@ -98,12 +98,12 @@ impl Experiment for FreeBox {
     fn info(&self) -> ExperimentInfo {
         ExperimentInfo {
             paper: "Fig. 6",
-            method: "At 0.4 m/s the robot walks into a free cube of 2 kg and 0.5 m edge length, by its friction, \
-                     which the paper does not state. The cube is offset sideways by an amount drawn for each trial. \
+            method: "At 0.4 m/s the robot walks into a free cube of 2 kg and 0.5 m edge length. Its friction varies, \
+                     as the paper does not state it. The cube is offset sideways by an amount drawn for each trial. \
                      Contact forces are the sum over all contacts between robot and box at 240 Hz; the mean is over \
                      the time in contact. The robot has got past when it ends beyond the box's far side, and has \
                      resumed its course when it then walks at its command in the direction in which it started. \
-                     Displacement and forces are of trials in which it met the box.",
+                     Displacement and forces are of trials in which it touched the box.",
             ..ExperimentInfo::new("E6", 6, "box", "Collision with a box", QUANTITIES, self.trials)
         }
     }
@@ -123,7 +123,7 @@ impl Experiment for FreeBox {
     fn measure(&self, trial: &Trial) -> TrialValues {
         let trace = trial.trace;
         let passed = trial.upright_metric("passed") == Some(1.0);
-        // A robot that never touches the box has not handled it gently.
+        // Zero force would look gentle if the robot missed the box.
         let was_met = trial.metric("contact_time_s").is_some_and(|time_s| time_s > 0.0);
         let of_met = |quantity: &Quantity| trial.upright_metric(quantity.name).filter(|_| was_met);
         let sideways = trace.frames.last().map(|frame| frame.position[1].abs()).filter(|_| trial.is_upright());

@@ -21,11 +21,11 @@ pub struct Lead {
 impl Experiment for Lead {
     fn info(&self) -> ExperimentInfo {
         ExperimentInfo {
-            method: "A person holding a leash walks beside the robot at its command and after 2 s walks away at 0.5 \
-                     m/s, in world-fixed directions all around. Leash and arm are a spring of 200 N/m with 20 N·s/m \
-                     that pulls the trunk's centre of mass in that direction and never pushes. A robot of compliance \
-                     c follows once the tension is 0.5/c. Tensions are those of the last 3 of 6 s. A fall leaves \
-                     every quantity but the falls undefined.",
+            method: "A person holding a leash walks beside the robot at its commanded velocity, and after 2 s walks \
+                     away at 0.5 m/s, in world-fixed directions all around. Leash and arm are a spring of 200 N/m with \
+                     20 N·s/m that pulls the trunk's centre of mass in that direction and never pushes. A robot of \
+                     compliance c follows once the tension is 0.5/c. Tensions are those of the last 3 of 6 s. A fall \
+                     leaves every quantity but the falls undefined.",
             ..ExperimentInfo::new("E14c", 17, "lead", "Led by the leash", QUANTITIES, self.trials)
         }
     }

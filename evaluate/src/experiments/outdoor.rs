@@ -22,10 +22,10 @@ impl Experiment for Outdoor {
     fn info(&self) -> ExperimentInfo {
         ExperimentInfo {
             paper: "Fig. 8d",
-            method: "At 0.5 m/s for 20 s over smooth hills, other ones in every trial, by their steepest slope; each \
-                     square metre of ground has a friction of its own, drawn between 0.4 and 1.0, which holds for \
-                     each foot on it. The velocity error is the length of mean velocity minus command in the \
-                     horizontal plane; numbers but success are of trials without a fall.",
+            method: "The robot walks at 0.5 m/s for 20 s over smooth hills, which differ in every trial; their \
+                     steepest slope varies. Each square metre of ground has its own friction, drawn between 0.4 and \
+                     1.0, which applies to each foot on it. The velocity error is the length of mean velocity minus \
+                     command in the horizontal plane. All numbers except success are of trials without a fall.",
             ..ExperimentInfo::new("E11b", 13, "outdoor", "Hills of varied friction", QUANTITIES, self.trials)
         }
     }

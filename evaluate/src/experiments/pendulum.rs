@@ -30,7 +30,7 @@ impl Experiment for Pendulum {
     fn info(&self) -> ExperimentInfo {
         ExperimentInfo {
             paper: "Fig. 8b",
-            method: "A ball of 3 kg on a string of 1 m is let go at a height above its lowest point, where it meets \
+            method: "A ball of 3 kg on a string of 1 m is released at a height above its lowest point, where it hits \
                      the right side of the trunk. The push is the largest change of the trunk's velocity along the \
                      blow within 0.2 s; it decays as in E2. The peak force is that of all contacts with the ball, \
                      which hardly rebounds and may touch again; the impulse is that of the first second.",

@@ -25,11 +25,11 @@ impl Experiment for Pulley {
     fn info(&self) -> ExperimentInfo {
         ExperimentInfo {
             paper: "Fig. 8a",
-            method: "A weight of 1 kg hangs on a rope that leads over pulleys to the trunk; it is let go with the \
-                     rope just taut, pulls for 4 s, and is taken off. The displacement is that along the pull at its \
-                     end beyond what the command asks for, the offset the mean velocity along it minus the command \
-                     from 1 s after the start to the end. The rope's force is the weight's m (g + a), from 1 s after \
-                     the start. A fall leaves all but the falls undefined.",
+            method: "A weight of 1 kg hangs on a rope that leads over pulleys to the trunk; it is let go with the rope \
+                     just taut, pulls for 4 s, and is taken off. The displacement is the distance moved along the pull \
+                     by its end, minus that of the command. The offset is the mean velocity along the pull minus the \
+                     command, from 1 s after the start to the end. The rope force, from 1 s after the start, is m (g + \
+                     a) of the weight. A fall leaves every quantity but the falls undefined.",
             ..ExperimentInfo::new("E9", 9, "pulley", "A weight over a pulley", QUANTITIES, self.trials)
         }
     }

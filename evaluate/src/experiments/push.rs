@@ -16,7 +16,7 @@ pub(super) const CARRIED: Quantity = Quantity::new("carried_m", "carried by the 
 /// The fraction of trials without a fall in which the push had not decayed to 10 % at the end; their decay time is that end.
 pub(super) const UNDECAYED: Quantity = Quantity::new("undecayed", "not decayed at the end", "%", 0);
 
-/// The quantities that tell how long a disturbance lasts, with their words in claims. The paper names no threshold.
+/// The measures of how long a disturbance lasts, with their words in claims. The paper names no threshold.
 pub(super) const LASTING: [(&str, &str); 3] = [
     (TO_10.name, "take longer to stabilise to 10 %"),
     (TO_20.name, "take longer to stabilise to 20 %"),
@@ -62,6 +62,6 @@ pub(super) fn undecayed(results: &Results, conditions: &[usize]) -> Option<Strin
         (lasting > 0).then(|| format!("in {lasting} of {} trials of {}", found.len(), results.names[set]))
     };
     let words: Vec<String> = (0..results.sets.len()).filter_map(of_set).collect();
-    let rest = "the push had not decayed to 10 % by the end: it counts as lasting until there.";
+    let rest = "the push had not decayed to 10 % by the end: it counts with the time until then.";
     (!words.is_empty()).then(|| format!("{} {rest}", words.join(" and ")))
 }

@@ -24,11 +24,11 @@ impl Experiment for Rubble {
     fn info(&self) -> ExperimentInfo {
         ExperimentInfo {
             paper: "Fig. 8c",
-            method: "At 0.5 m/s for 15 s at most over 4 m of loose wooden blocks and soft mats, other ones in every \
-                     trial, by the largest height of the blocks. Height counts from the floor, and only the floor is \
-                     ground: a leg that brushes a block has not fallen. The robot is across when its trunk has passed \
-                     the end, and not the side; the trial is over a second later. The velocity error is the length of \
-                     mean velocity minus command in the horizontal plane; it, the peak foot force and the power are \
+            method: "The robot walks at 0.5 m/s for at most 15 s over 4 m of loose wooden blocks and soft mats, which \
+                     differ in every trial; the largest height of the blocks varies. For falls, height is above the \
+                     floor, and a leg that touches a block is no fall. The robot is across when its trunk has passed \
+                     the far end, not a side; the trial ends a second later. The velocity error is the length of mean \
+                     velocity minus command in the horizontal plane. Velocity error, peak foot force and power are \
                      those of the crossing, from the first edge to the last.",
             ..ExperimentInfo::new("E11a", 11, "rubble", "Wooden blocks and soft mats", QUANTITIES, self.trials)
         }

@@ -19,8 +19,8 @@ const QUANTITIES: &[Quantity] = &[
     FELL,
 ];
 
-/// The numbers of the paper's Table IV, compliant / baseline, and their differences. The paper does not define torque; the sum
-/// over the joints has the size of its numbers.
+/// The numbers of the paper's Table IV, compliant / baseline, and their differences. The paper does not define torque; the sum over the
+/// joints is as large as its numbers.
 const PAPER: [(&str, &str); 6] = [
     ("power_before_w", "78.5 ± 2.0 / 80.1 ± 1.4"),
     ("power_after_w", "140.9 ± 17.0 / 166.9 ± 25.8"),
@@ -43,9 +43,9 @@ impl Experiment for Table4 {
         ExperimentInfo {
             paper: "Table IV",
             method: "The push of E2. Power is Σ|τ·q̇| over the twelve joints, torque is ‖τ‖₂, both at 240 Hz with the \
-                     torque actually applied, averaged over as long before and after the push; the sum over the \
-                     joints is Σ|τ|, at 60 Hz. The increase is the second minus the first: what the push adds to the \
-                     walk. A time that a fall cuts short has no average.",
+                     torque actually applied, averaged over windows of equal length before and after the push; the sum \
+                     over the joints is Σ|τ|, at 60 Hz. The increase is the average after minus that before. A window \
+                     that a fall cuts short has no average.",
             ..ExperimentInfo::new("E3", 3, "table4", "Power and torque of a sideways push", QUANTITIES, self.trials)
         }
     }

@@ -24,9 +24,9 @@ impl Experiment for Terrain {
     fn info(&self) -> ExperimentInfo {
         ExperimentInfo {
             paper: "Fig. 7b",
-            method: "At 0.5 m/s for 10 s over terrain of Perlin noise, another one in every trial, by its height from \
-                     peak to peak and its frequency (cells per metre). A success is a trial without a fall. The \
-                     velocity error is the length of mean velocity minus command in the horizontal plane.",
+            method: "The robot walks at 0.5 m/s for 10 s over terrain of Perlin noise, which differs in every trial. \
+                     Its height (peak to peak) and frequency (cells per metre) vary. A success is a trial without a \
+                     fall. The velocity error is the length of mean velocity minus command in the horizontal plane.",
             ..ExperimentInfo::new("E8", 8, "terrain", "Uneven terrain", QUANTITIES, self.trials)
         }
     }
@@ -45,7 +45,7 @@ impl Experiment for Terrain {
             "",
             "Success, velocity error and peak foot force by terrain",
             &["success", "velocity_error_m_s", "peak_foot_force_n"],
-            "Numbers but success are of trials without a fall.",
+            "All numbers except success are of trials without a fall.",
         );
         let text = format!("On terrain of {}, compliant policies fall less often", section.first_label());
         section.claim(&text, "less often", "success", Higher, &[0]);

@@ -1,4 +1,4 @@
-//! E0: walking undisturbed, at the other experiments' command and at the corners of the commands.
+//! E0: walking undisturbed, at the command of the other experiments and at the corners of the command range.
 
 use std::collections::BTreeMap;
 
@@ -60,11 +60,11 @@ impl Walk {
             }
             let (speed, bound) = (forward.hypot(*left), self.error_bound_m_s);
             for (seed, error) in errors.iter().filter(|(_, error)| speed > 0.0 && **error > 0.5 * speed) {
-                let words = "does not walk at its command: its velocity error is";
+                let words = "does not follow its command: its velocity error is";
                 notes.push(format!("{name}, seed {seed}, {words} {error:.2} m/s."));
             }
             for (seed, error) in errors.iter().filter(|(_, error)| **error > bound && **error <= 0.5 * speed) {
-                let words = format!("exceeds the velocity error of {bound} m/s by itself");
+                let words = format!("has a velocity error above {bound} m/s");
                 notes.push(format!("{name}, seed {seed}, {words}: {error:.3} m/s."));
             }
         }
@@ -99,8 +99,8 @@ impl Experiment for Walk {
         ExperimentInfo {
             paper: "Fig. 5, caption",
             method: "The policy walks on flat ground without disturbance. Errors are mean velocity minus command from \
-                     2 s on, in the heading frame; the velocity error is the length of the horizontal one. Nothing is \
-                     drawn at random but the sensors' noise, where there are sensors.",
+                     2 s on, in the heading frame; the velocity error is the length of the horizontal one. Only sensor \
+                     noise is random, in trials on sensors.",
             ..ExperimentInfo::new("E0", 0, "walk", "Walking undisturbed", QUANTITIES, self.trials)
         }
     }

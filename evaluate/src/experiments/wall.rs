@@ -21,9 +21,9 @@ pub struct Wall {
 impl Experiment for Wall {
     fn info(&self) -> ExperimentInfo {
         ExperimentInfo {
-            method: "The robot walks into a wall of 700 N/m and 4 N·s/m that presses its trunk's centre of mass back, \
-                     and presses on until the end, some 5 s. Peak force and depth are the largest ones. A fall leaves \
-                     all but the falls undefined.",
+            method: "The robot walks into a soft wall of 700 N/m and 4 N·s/m, which pushes back its trunk's centre of \
+                     mass. It keeps pressing until the end, some 5 s. Peak force and depth are the largest ones. A \
+                     fall leaves every quantity but the falls undefined.",
             ..ExperimentInfo::new("E14b", 16, "wall", "A wall that gives", QUANTITIES, self.trials)
         }
     }

@@ -29,7 +29,7 @@ impl Panel {
         self.path(points, 3).into_iter().chain(self.path(points, 2).into_iter().rev()).collect()
     }
 
-    /// Draws frame, grid lines that reach a little out of it, and labels. Without `y_label` it omits the numbers along y, which a neighbour has.
+    /// Draws frame, grid lines with ticks, and labels. Without `y_label`, it omits the numbers along y.
     pub fn draw_axes(&self, svg: &mut Svg, x_label: &str, y_label: Option<&str>) {
         let [left, top] = self.corner;
         let [right, bottom] = [left + self.size[0], top + self.size[1]];

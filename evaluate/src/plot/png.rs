@@ -7,7 +7,7 @@ use resvg::{tiny_skia, usvg};
 /// The number of pixels of the PNG per pixel of the figure: about 300 per inch at a width of 7 inches.
 const SCALE: f32 = 2.75;
 
-/// The reason why a figure cannot be rendered as PNG: it is no SVG, too large for memory, or cannot be encoded.
+/// The reason why a figure cannot be rendered as PNG: it is not a valid SVG, is too large for memory, or cannot be encoded.
 #[derive(Debug, thiserror::Error)]
 #[error("the figure cannot be rendered: {0}")]
 pub struct RenderError(Box<dyn std::error::Error + Send + Sync>);

@@ -54,7 +54,7 @@ pub enum Anchor {
     End,
 }
 
-/// The style of a text of a font size \[px\]; one that is `upwards` is turned.
+/// The style of a text of a font size \[px\]; `upwards` text reads from bottom to top.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Text {
     pub size: f64,

@@ -126,7 +126,7 @@ fn plain_table((columns, rows): Rows) -> Markup {
     })
 }
 
-/// Returns the table of what a reader has to know of the sets.
+/// Returns the table of how the sets were trained.
 pub fn sets_table(training: &[Training]) -> Markup {
     plain_table(training_rows(training))
 }
@@ -171,8 +171,9 @@ fn sensing(report: &Report) -> Markup {
         section id="sensing" {
             h2 { "E12 Acting on sensors " small { "section IV-D" } }
             p {
-                "The same trials, with policies that see no true state: noisy IMU and encoders, a contact network and \
-                 a Kalman filter at 240 Hz. Differences are estimated minus true state."
+                "The same trials, with policies that act on estimates instead of the true state: noisy IMU and \
+                 encoders, a contact network and a Kalman filter at 240 Hz. Differences are estimated minus true \
+                 state."
             }
             (notes(&sensing.notes))
             @for (table, names) in sensing.tables().iter().filter(|(table, _)| table.in_page) { (numbers(table, names)) }

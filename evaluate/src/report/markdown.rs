@@ -24,7 +24,7 @@ pub fn columns(names: &[String]) -> Vec<String> {
     titled(["condition", "quantity", "paper (compliant / baseline)"], names, [difference, relative])
 }
 
-/// Returns the column titles and cells of a table of what a reader has to know of the sets.
+/// Returns the column titles and cells of a table of how the sets were trained.
 pub fn training_rows(training: &[Training]) -> Rows {
     let columns = ["set", "seeds", "configuration", "samples (steps of an environment)"];
     let cells = |training: &Training| {

@@ -127,7 +127,7 @@ pub struct Report<'a> {
     pub curves: Vec<Figure>,
 }
 
-/// The sentence above claims that all lack a verdict on their difference.
+/// The sentence above the claims if no difference has a verdict.
 const TOO_FEW: &str = "No difference has a verdict: each has fewer than five pairs of seeds, too few to tell.";
 
 impl<'a> Report<'a> {

@@ -9,8 +9,8 @@ const GAP: usize = 2;
 /// The width of the column with the experiment and the gap after it.
 const INDENT: usize = 6;
 
-/// Returns the claims of a report, each with the numbers of all sets, their difference and the verdict below it, in lines of at
-/// most `width` characters where the words allow it. The paper's numbers and relative changes are in the files.
+/// Returns the claims of a report, each with the numbers of all sets, their difference and the verdict below it. Lines have at most `width`
+/// characters where the words allow it. The paper's numbers and relative changes are in the files.
 pub fn claims(report: &Report, width: usize) -> String {
     let (columns, rows) = markdown::claim_rows(report);
     let numbers = |row: &Vec<String>| [&row[3..row.len() - 2], &row[row.len() - 1..]].concat();

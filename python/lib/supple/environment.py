@@ -27,7 +27,7 @@ UNDRAWN = (
     "these environments draw nothing: supple.run_scenario(…, record=\"walk.rrd\") writes a recording of a policy for the rerun "
     "viewer"
 )
-"""Says what to use in place of pictures."""
+"""The end of errors about pictures: what to use instead."""
 
 Observations = NDArray[np.float32]
 Flags = NDArray[np.bool_]

@@ -43,7 +43,7 @@ class Experiment(NamedTuple):
 
 
 class Comparison(NamedTuple):
-    """What `evaluate` measured of two sets of policies, and of others beside them. Tables are dicts of arrays of one length,
+    """The measurements of two sets of policies, and of others beside them. Tables are dicts of arrays of one length,
     as `pandas.DataFrame` and `polars.DataFrame` take them; NaN where there is no number."""
 
     claims: dict[str, NDArray[Any]]

@@ -37,7 +37,7 @@ class Policy(Named):
         """Returns actions, float32 (n, 12), for normalised observations (n, length), or one action (12,) for one (length,).
 
         Joint target = `action_offset` + `action_scale` * action [rad], in the order of `action_names`. An external policy
-        may observe and act otherwise than the environments do: compare names, offsets and scales first.
+        may have other observations and actions than the environments: compare names, offsets and scales first.
         """
         seen = numbers(f"observations for {self.name}", observations, (self._length,), (None, self._length))
         actions = self._native.act(np.atleast_2d(seen))

@@ -43,7 +43,7 @@ pub enum VideoError {
     #[error(
         "a frame of {robot} has {found} bodies, its model {expected}; draw it with the scene's own visual model, and play it with bodies"
     )]
-    #[allow(missing_docs)] // the message says them
+    #[allow(missing_docs)] // the message names them
     Bodies { robot: String, found: usize, expected: usize },
     /// No picture can be drawn.
     #[error(transparent)]
@@ -82,7 +82,7 @@ impl Video {
     pub fn new(path: &Path, size: [usize; 2]) -> Result<Self> {
         let format = Format::of(path).ok_or_else(|| {
             let name = path.with_extension("mp4");
-            let words = "its name says what it is and ends with .mp4, .webp or .gif; name it";
+            let words = "its name must end with .mp4, .webp or .gif; name it";
             cannot_write(path)(format!("{words} {}", name.display()))
         })?;
         let [width, height] = size;
@@ -106,7 +106,7 @@ impl Video {
         if let Some(folder) = self.path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
             std::fs::create_dir_all(folder).map_err(failed)?;
         }
-        // Drawn while the file is open: a folder that cannot be written to is known before the work.
+        // The file is opened first, so that a folder without write access fails before the work.
         let mut problem = None;
         let written = files::write_with(&self.path, |file| match self.encode(title, robots, &mut drawn) {
             Ok(bytes) => file.write_all(&bytes),
@@ -131,7 +131,7 @@ impl Video {
         // A thread for each robot, on which its renderer stays.
         std::thread::scope(|scope| {
             let draw = |(robot, trace): &Played<'_>, to: SyncSender<_>| match View::new(robot, trace, size) {
-                // Nothing takes the pictures of a video that has failed.
+                // Sending ends if the video has failed, as nothing receives its pictures.
                 Ok(mut view) => drop((1..=count).try_for_each(|frame| to.send(view.picture(time_s(frame))))),
                 Err(error) => drop(to.send(Err(error))),
             };

@@ -86,7 +86,7 @@ impl<'a> View<'a> {
     /// Returns the path of the trunk on the ground.
     fn trail(&self, past: &[Frame]) -> Vec<Mark> {
         let every = ((TRAIL.0 / self.trace.period_s).round() as usize).max(1);
-        // Pieces stay where they are while the robot goes on.
+        // Pieces keep their places while the robot moves.
         let corners = (0..past.len()).filter(|index| index % every == 0).chain([past.len() - 1]);
         let below = |index: usize| {
             let [x, y, _] = past[index].position;

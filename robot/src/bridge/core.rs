@@ -22,7 +22,7 @@ use crate::remote::FullSticks;
 /// Time between two commands to the motors \[s\].
 const COMMAND_S: f64 = 0.002;
 
-/// Largest step of the robot's clock between two readings, also backwards, that is no fault \[ms\].
+/// Largest step of the robot's clock between two readings, in either direction, that is not a fault \[ms\].
 const MAX_GAP_MS: u32 = 100;
 
 /// The command that goes to the motors.
@@ -47,7 +47,7 @@ pub struct Bridge<'a> {
     pub command: Command,
     remote: RemoteOrders,
     latency: Latency,
-    /// Joint targets that have come through the latency \[rad\].
+    /// Joint targets after the latency \[rad\].
     acting: Joints,
     /// Time that the latency has not counted yet \[s\].
     latency_wait_s: f64,
@@ -75,7 +75,7 @@ impl<'a> Bridge<'a> {
         let model = &config.robot.model;
         ensure!(
             model == "go2",
-            "the policy is one of {model}, this interface is a Go2's: give a policy of go2, such as go2/compliant"
+            "the policy is for the robot {model}, expected go2: give a policy such as go2/compliant"
         );
         let latency_s = latency_s.unwrap_or(config.simulation.latency_s);
         ensure!((0.0..=0.2).contains(&latency_s), "latency {latency_s} s: expected 0 to 0.2 s");
@@ -196,11 +196,11 @@ impl<'a> Bridge<'a> {
             other => self.notes.push(other.name().replace('_', " ")),
         }
         if !phase.is_active() {
-            // At once, and not with the next state: it may never come.
+            // Not with the next state, which may never come.
             self.output.motors = motor::damping();
         }
         if self.phase == Phase::Policy {
-            // When the policy begins again, the robot stands.
+            // When the policy begins again, its commanded velocity is zero.
             self.command = Command { compliance: self.command.compliance, ..Command::default() };
         }
         if phase == Phase::Policy {
@@ -227,9 +227,9 @@ impl<'a> Bridge<'a> {
         let orders = self.remote.take(&reading.remote, &self.full_sticks());
         let dt_s = match self.last_tick_ms.map(|last| (last, reading.tick_ms.wrapping_sub(last))) {
             None => Ok(COMMAND_S),
-            // A robot whose clock stands at zero has none, such as unitree_mujoco: the time of arrival has to do.
+            // A clock that stays at zero, as in unitree_mujoco, is replaced by the time of arrival.
             Some((0, 0)) => Ok((now_s - self.last_s).clamp(1e-4, 1e-3 * f64::from(MAX_GAP_MS))),
-            // Twice the same state, or one that was overtaken on its way: nothing new.
+            // The state came twice or out of order.
             Some((_, gap)) if gap.wrapping_neg() <= MAX_GAP_MS => {
                 self.damp_if_asked(&orders, now_s);
                 return self.wait(now_s);
@@ -256,7 +256,7 @@ impl<'a> Bridge<'a> {
             }
             Err(fault) => {
                 self.fail(fault);
-                // Whatever the estimators made of it: they start again with the next sound reading.
+                // The estimators may have used this reading, so they start again with the next valid one.
                 self.perception_is_stale = true;
                 self.damp_if_asked(&orders, now_s);
             }
@@ -264,7 +264,7 @@ impl<'a> Bridge<'a> {
         &self.output
     }
 
-    /// A person can always stop the robot.
+    /// Damps if an order asks for it, also when the reading is not used.
     fn damp_if_asked(&mut self, orders: &[Order], now_s: f64) {
         if orders.contains(&Order::Wish(Wish::Damp)) {
             self.wish(Wish::Damp, now_s);
@@ -307,7 +307,7 @@ impl<'a> Bridge<'a> {
             self.targets = self.guard.limit(&wanted, &self.targets)?;
         }
         self.latency_wait_s += dt_s;
-        // By the robot's clock, whatever the rate of its states; half a microsecond is rounding.
+        // Counted by the robot's clock, at any rate of its states; half a microsecond is for rounding.
         while self.latency_wait_s > COMMAND_S - 5e-7 {
             self.latency_wait_s -= COMMAND_S;
             self.acting = self.latency.delay(&self.targets);
@@ -333,7 +333,7 @@ mod tests {
 
     static AGENT: LazyLock<Agent> = LazyLock::new(|| shipped::find("go2/compliant").unwrap());
 
-    /// A bridge and a robot whose joints are where they are wanted.
+    /// A bridge and a robot whose joints are at their targets.
     struct Rig<'a> {
         bridge: Bridge<'a>,
         angles: Joints,
@@ -357,7 +357,7 @@ mod tests {
             output
         }
 
-        /// Has the bridge take the state of this tick, which arrives so many ms later.
+        /// Gives the bridge the state of this tick, which arrives `later_ms` after it.
         fn take(&mut self, later_ms: u32, change: impl Fn(&mut LowState)) -> Output {
             let mut state = state_at(&self.angles, self.tick_ms);
             change(&mut state);
@@ -527,7 +527,7 @@ mod tests {
         let mut rig = Rig::to_policy(&AGENT);
         let before = rig.step(|_| ());
         rig.tick_ms -= 20;
-        // It would be a fault if it counted.
+        // A reading that counts would be a fault.
         let output = rig.step(|it| it.motor_state[3].dq = 40.0);
         assert_eq!((&rig.bridge.phase, output), (&Phase::Policy, before));
     }

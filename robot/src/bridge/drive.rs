@@ -1,4 +1,4 @@
-//! The bridge on a network: states in, commands out, each within a millisecond; people's orders; the log.
+//! The bridge on a network: receives states and orders, sends a command within a millisecond of a state, writes the log.
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -43,8 +43,8 @@ const DAMP: Duration = Duration::from_millis(500);
 /// The bridge's settings: the command line of `robot run`.
 #[derive(clap::Args, Debug)]
 pub struct Settings {
-    /// Policy file, run folder, YAML file of an external policy, or name of a shipped policy of the Go2; with @C behind it, it has the
-    /// commanded compliance C (m/s/N)
+    /// Policy file, run folder, YAML file of an external policy, or name of a shipped policy of the Go2; NAME@C sets the commanded
+    /// compliance C (m/s/N)
     #[arg(value_name = "FILE|NAME[@C]", default_value = "go2/real")]
     pub policy: String,
     /// Commanded compliance (m/s/N) [default: the policy's own]
@@ -82,7 +82,7 @@ pub struct Settings {
 pub struct Report {
     /// States that were taken.
     pub states: u64,
-    /// States that were ignored: checksum or head.
+    /// States that were ignored because of their checksum or head.
     pub ignored: u64,
     /// Steps of the robot's clock that are missing: lost states of 2 ms.
     pub lost: u64,
@@ -98,7 +98,7 @@ pub struct Report {
     pub intervals_within_4_ms_percent: f64,
     /// Faults, in order, with their time \[s\].
     pub faults: Vec<(f64, String)>,
-    /// Rows that the log lacks.
+    /// Rows that are missing in the log.
     pub log_lost: u64,
     /// The reason why the log ends early, if it does.
     pub log_error: Option<String>,
@@ -120,7 +120,7 @@ pub fn drive(
     bridge.order(&Order::Command(command), 0.0);
     let node = Node::open(&place)?;
     let (sender, states) = sync_channel::<Arrival<LowState>>(64);
-    // Full: this loop hangs, which the outlet notices.
+    // The queue is full only if this loop hangs; then the outlet damps.
     let take = move |arrival| drop(sender.try_send(arrival));
     let _states = node.listen(STATES, LowState::TYPE, Delivery::BestEffort, take)?;
     let others = Arc::new(Others::default());
@@ -136,7 +136,7 @@ pub fn drive(
         );
     };
     if Reading::is_unsigned(&first.message) {
-        terminal::note("note: states have no checksum, as those of unitree_mujoco; a Go2's have one");
+        terminal::note("note: the states have no checksum, like those of unitree_mujoco; a real Go2 sends one");
     }
     if !settings.no_release && !settings.dry_run && !stop.load(Ordering::Relaxed) {
         let mode = Client::new(&node)?.release(stop)?;
@@ -148,7 +148,8 @@ pub fn drive(
     std::thread::sleep(LOOK);
     if others.any() && !settings.dry_run {
         bail!(
-            "another program writes rt/lowcmd: two would fight; stop it, or release the robot's own controller (without --no-release)"
+            "another program writes rt/lowcmd, and commands of two would alternate: stop it, or release the robot's own \
+             controller (without --no-release)"
         );
     }
     if stop.load(Ordering::Relaxed) {
@@ -160,7 +161,7 @@ pub fn drive(
     } else {
         let publisher: Publisher<LowCmd> = node.publish(COMMANDS, LowCmd::TYPE, Delivery::BestEffort)?;
         let _ = others.own.set(publisher.id());
-        // A network that is down is a silence, which both sides notice.
+        // A failed send appears as silence, which both sides detect.
         Outlet::new(limit, move |motors| drop(publisher.send(LowCmd::of_motors(motors))))
     };
     let path = &settings.log;
@@ -179,7 +180,7 @@ pub fn drive(
         intervals: [0, 0],
         last_tick_ms: None,
     };
-    // Those that came meanwhile are old.
+    // States that came meanwhile are old.
     while states.try_recv().is_ok() {}
     drive.run(&states, orders, stop);
     Ok(drive.finish())
@@ -228,7 +229,7 @@ impl Drive<'_> {
 
     /// Runs until an order or `stop`, then lies down and damps.
     fn run(&mut self, states: &Receiver<Arrival<LowState>>, orders: &Receiver<Order>, stop: &AtomicBool) {
-        // Since when the program is asked to end, and since when the motors damp thereafter.
+        // The times of the request to end, and of the start of the damping after it.
         let (mut quits, mut still): (Option<Instant>, Option<Instant>) = (None, None);
         loop {
             let mut wants_to_quit = stop.swap(false, Ordering::Relaxed);
@@ -243,7 +244,7 @@ impl Drive<'_> {
                 self.bridge.order(&order, self.now_s());
             }
             if wants_to_quit {
-                // Asked twice: at once.
+                // A second request damps at once.
                 let order = if quits.is_some() { Order::Wish(Wish::Damp) } else { Order::Quit };
                 self.bridge.order(&order, self.now_s());
                 quits.get_or_insert_with(Instant::now);
@@ -312,7 +313,7 @@ impl Drive<'_> {
         Some(arrival.at)
     }
 
-    /// Counts the states that are missing before this one; one that was overtaken on its way counts as missing.
+    /// Counts the states that are missing before this one; a state that arrives out of order counts as missing.
     fn count_lost(&mut self, tick_ms: u32) {
         let gap_ms = tick_ms.wrapping_sub(*self.last_tick_ms.get_or_insert(tick_ms));
         if (1..=1000).contains(&gap_ms) {
@@ -344,12 +345,12 @@ impl Drive<'_> {
         let had_failed = self.log.has_failed;
         self.log.add(self.bridge.phase.name(), &row);
         if self.log.has_failed && !had_failed {
-            let words = "the log cannot be written any more; the robot goes on without";
+            let words = "the log cannot be written any more; the robot continues without it";
             terminal::note(format_args!("{now_s:8.3} s: {words}"));
         }
     }
 
-    /// Prints what would be sent, and where the joints are.
+    /// Prints the command that would be sent, and the joint angles.
     fn show(&self) {
         let (output, phase) = (&self.bridge.output, &self.bridge.phase);
         let angles: Joints = self.bridge.reading.as_ref().map_or([0.0; JOINTS], |reading| reading.encoders.angles);
@@ -362,7 +363,7 @@ impl Drive<'_> {
         };
         let MotorCmd { kp, kd, .. } = output.motors[0];
         let (now_s, name, joints) = (self.now_s(), phase.name(), legs(&angles));
-        let wanted = if phase.is_active() { format!("; wanted:{}", legs(&output.targets)) } else { String::new() };
+        let wanted = if phase.is_active() { format!("; targets:{}", legs(&output.targets)) } else { String::new() };
         terminal::note(format_args!("{now_s:8.3} s: dry run, {name}: kp {kp}, kd {kd}; joints (rad):{joints}{wanted}"));
     }
 

@@ -1,4 +1,4 @@
-/*! What happened: states and commands as CSV, written by a thread of its own, bounded.
+/*! The log: states and commands as CSV, written by a separate thread, of bounded size.
 
 The log is two files, `NAME` and `NAME.old`: when the first is full, it replaces the second. `robot check` reads them.
 */
@@ -108,7 +108,7 @@ pub fn older(path: &Path) -> PathBuf {
 }
 
 impl Log {
-    /// Opens a log whose two files have at most `rows` rows each. Both files of an earlier log by that name are gone.
+    /// Opens a log whose two files have at most `rows` rows each. Both files of an earlier log of this name are deleted.
     pub fn create(path: &Path, rows: u64) -> io::Result<Self> {
         let file = open(path)?;
         match std::fs::remove_file(older(path)) {
@@ -121,7 +121,7 @@ impl Log {
         Ok(Log { sender, thread, lost: 0, has_failed: false })
     }
 
-    /// Adds a row; never waits. What a slow disk does not take is lost and counted.
+    /// Adds a row without waiting. Rows that a slow disk cannot take are lost and counted.
     pub fn add(&mut self, phase: &'static str, row: &Row) {
         let sent = self.sender.try_send((phase, *row));
         self.lost += u64::from(sent.is_err());
@@ -166,7 +166,7 @@ fn write(path: &Path, mut file: BufWriter<File>, rows: u64, sent: &Receiver<(&'s
 pub(crate) mod tests {
     use super::*;
 
-    /// A row that counts.
+    /// A row of distinct numbers.
     pub fn row(number: f64) -> Row {
         let count = columns().len() - 1;
         let numbers: Vec<f64> = (0..count).map(|index| number + index as f64 / 1024.0).collect();
@@ -197,7 +197,7 @@ pub(crate) mod tests {
         let lines = |path: &Path| std::fs::read_to_string(path).unwrap().lines().count() - 1;
         assert_eq!((lines(&path), lines(&older(&path))), (5, 10));
         assert!(std::fs::read_to_string(&path).unwrap().lines().last().unwrap().starts_with("policy,34"));
-        // The next one has nothing of this one. Clocks keep their milliseconds for days.
+        // A new log keeps nothing of the last one. Clocks keep their milliseconds for days.
         let mut log = Log::create(&path, 10).unwrap();
         log.add("policy", &Row { time_s: 400_000.002, tick_s: 4_000_000.001, ..row(0.0) });
         log.finish().1.unwrap();

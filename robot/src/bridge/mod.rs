@@ -1,8 +1,8 @@
 /*! The controller's side: a policy on the robot's own interface.
 
-Read in this order: `reading` (the robot's state as the bridge understands it), `perceive` (from readings to the state that a policy
-acts on), `phase` (passive, stand up, hold, policy, lie down), `safety` (what ends in damping), `orders` (what people want), `log`
-(what happened), `outlet` (the last way out, watched), and `core`, which joins them without a network; [`drive()`] puts it on one.
+Read in this order: `reading` (the robot's state as the bridge understands it), `perceive` (from readings to the state that a policy acts
+on), `phase` (passive, stand up, hold, policy, lie down), `safety` (faults that end in damping), `orders` (of the operator), `log`, `outlet`
+(sends commands, and damps if they stop). `core` joins them without a network, and [`drive()`] connects them to one.
 */
 
 mod core;

@@ -1,4 +1,4 @@
-/*! What people want: lines of JSON on standard input or from UDP on this machine, keys, and the robot's own remote. */
+/*! The orders of the operator: lines of JSON on standard input or from UDP on this machine, keys, and the robot's own remote. */
 
 use anyhow::anyhow;
 use serde::Deserialize;
@@ -11,9 +11,9 @@ use crate::remote::{Button, FullSticks, Remote};
 /// An order.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Order {
-    /// Another phase.
+    /// A request for another phase.
     Wish(Wish),
-    /// Another velocity; a missing compliance leaves the last one.
+    /// A new velocity; without a compliance, the last one stays.
     Command(Command),
     /// A change of the velocity: forward [m/s], left [m/s], yaw rate [rad/s].
     Change([f64; 3]),
@@ -136,7 +136,7 @@ mod tests {
         {
             assert!(from_line(bad).is_err(), "{bad}");
         }
-        // A rounding beyond the range is none.
+        // A number beyond the range by rounding only is accepted.
         assert!(from_line(r#"{"forward": 1.0000000001, "left": -0.5, "yaw": 0}"#).is_ok());
         let far = "forward is 1e308 m/s, expected -1 to 1 m/s; the velocity stays";
         for (line, problem) in [

@@ -1,5 +1,5 @@
-/*! The last way out, watched: if the bridge gives no command for 100 ms, because its policy hangs, the outlet damps by itself, and
-keeps doing so until it is reset. What it sends last, also when a panic ends the program, is damping. */
+/*! Sends commands to the robot. If the bridge gives none for 100 ms, for example because its policy hangs, the outlet damps until it is
+reset. Its last commands, also when a panic ends the program, are damping. */
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -11,7 +11,7 @@ use supple::robot::JOINTS;
 use crate::message::MotorCmd;
 use crate::motor;
 
-/// Time between two commands of the outlet's own \[s\].
+/// Time between two damping commands of the outlet.
 const PERIOD: Duration = Duration::from_millis(2);
 
 /// Number of commands that damp at the end: one may be lost.
@@ -26,7 +26,7 @@ struct Slot {
     has_tripped: bool,
 }
 
-/// Sends commands, and watches that they come.
+/// Sends commands, and damps if they stop coming.
 pub struct Outlet {
     slot: Arc<Mutex<Slot>>,
     ends: Arc<AtomicBool>,

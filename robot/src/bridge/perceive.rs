@@ -1,4 +1,4 @@
-/*! From the robot's readings to the state that a policy acts on: contact network, Kalman filter, felt force. */
+/*! Estimates the state that a policy acts on from the robot's readings: contact network, Kalman filter, felt force. */
 
 use std::sync::Arc;
 
@@ -37,7 +37,7 @@ impl Perception {
         })
     }
 
-    /// Forgets all readings; the next one is a first one.
+    /// Discards all readings; the next one counts as the first.
     pub fn restart(&mut self) -> Result<(), FileError> {
         self.contacts = ContactEstimator::new(ContactNetwork::shipped()?);
         self.estimator = Estimator::new(Arc::clone(&self.robot), EstimatorConfig::default());
@@ -100,7 +100,7 @@ mod tests {
         (0..500).for_each(|_| perception.take(&reading, &robot.nominal_pose, 0.002).unwrap());
         let state = perception.state().unwrap();
         assert!((state.height - robot.standing_height_m(&robot.nominal_pose)).abs() < 0.005, "{}", state.height);
-        // Motors without torque cannot carry it: it hangs or lies, and what is felt is not trusted.
+        // Without motor torque, the robot hangs or lies, and there is no felt force.
         assert!(state.velocity_in_base.norm() < 0.01 && state.felt_force.is_none());
     }
 

@@ -34,24 +34,24 @@ pub enum Phase {
     Damped(Fault),
 }
 
-/// A wish of the person who operates the robot.
+/// A request of the operator.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Wish {
     /// Stand up, or stop the policy and stand.
     Stand,
-    /// The policy.
+    /// Start the policy.
     Policy,
     /// Lie down.
     Lie,
-    /// Damping at once, latched.
+    /// Damp at once, latched.
     Damp,
-    /// The end of a latched damping.
+    /// End a latched damping.
     Clear,
 }
 
 impl Phase {
-    /// Returns the name, as logs have it.
+    /// Returns the name that logs use.
     pub fn name(&self) -> &'static str {
         match self {
             Phase::Passive => "passive",

@@ -21,7 +21,7 @@ pub struct Reading {
 }
 
 impl Reading {
-    /// Reads a state, or says why it is to be ignored. A checksum of zero counts as none: `unitree_mujoco` sets none.
+    /// Reads a state, or returns the reason to ignore it. A checksum of zero counts as none: `unitree_mujoco` sets none.
     pub fn new(state: &LowState) -> Result<Self, String> {
         let expected = crc(state);
         if state.crc != expected && !Self::is_unsigned(state) {

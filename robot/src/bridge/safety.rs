@@ -1,4 +1,4 @@
-/*! What ends in damping: limits on what the robot reports and on what the policy wants. A fault is latched until a person clears
+/*! Faults that end in damping: limits on the robot's readings and on the policy's joint targets. A fault is latched until a person clears
 it. */
 
 use supple::robot::{JOINTS, Joints, joint_name};
@@ -26,7 +26,7 @@ pub enum Fault {
     Temperature { joint: String, found: u8, limit: u8 },
     #[error("the battery is at {found} %, at least {limit} % is needed: charge it")]
     Battery { found: u8, limit: u8 },
-    #[error("the policy wants {joint} at {found:.2} rad, its range is {low:.2} to {high:.2} rad")]
+    #[error("the policy's target of {joint} is {found:.2} rad, its range is {low:.2} to {high:.2} rad")]
     TargetRange { joint: String, found: f64, low: f64, high: f64 },
     #[error("the policy moves the target of {joint} by {found:+.2} rad in one step, at most {limit:.2} rad is allowed")]
     TargetStep { joint: String, found: f64, limit: f64 },
@@ -34,7 +34,7 @@ pub enum Fault {
     Clock { from_ms: u32, to_ms: u32 },
     #[error("another program writes rt/lowcmd: stop it, or release the robot's own controller")]
     OtherWriter,
-    #[error("a person asked for it")]
+    #[error("the operator asked for it")]
     Asked,
 }
 
@@ -59,7 +59,7 @@ const TARGET_STEP_RAD: f64 = 2.5;
 /// Watches one robot and one policy.
 #[derive(Debug, Clone)]
 pub struct Guard {
-    /// False in replays of a log, which may show anything: only numbers that are not finite are faults.
+    /// False in replays of a log, where only numbers that are not finite are faults.
     pub is_strict: bool,
     joint_limits: [[f64; 2]; JOINTS],
     torque_limits: Joints,

@@ -16,12 +16,12 @@ use crate::message::{Cdr, Field, LowCmd, LowState};
 /// Most bytes of a file.
 const MOST_BYTES: u64 = 1 << 30;
 
-/// Reads each command with the state before it. A bag does not say what the policy was commanded: `constants` does.
+/// Reads each command with the state before it. A bag has no command of the policy, so `constants` gives it.
 pub(super) fn read(path: &Path, columns: &Columns) -> anyhow::Result<Vec<Row>> {
     let fail = FileError::of("cannot read the log", path);
     let bytes = read_bounded(path, MOST_BYTES).map_err(|error| fail(error.to_string()))?;
     let constant = |name| {
-        let words = "a bag does not say what the policy was commanded: give";
+        let words = "a bag has no command of the policy: give";
         let of_constants = columns.constants.get(name).copied();
         of_constants.ok_or_else(|| anyhow!("{words} {name} in a YAML file (--columns), under `constants`"))
     };
@@ -50,8 +50,8 @@ pub(super) fn read(path: &Path, columns: &Columns) -> anyhow::Result<Vec<Row>> {
     Ok(rows)
 }
 
-/// Calls `f` with topic, time \[ns\] and data of each message; returns the topics. Chunks are decompressed here: the crate's own way
-/// never ends on one that is cut off (mcap 0.25).
+/// Calls `f` with topic, time \[ns\] and data of each message; returns the topics. Chunks are decompressed here: the mcap crate (0.25)
+/// loops for ever on a truncated chunk.
 fn for_each_message(
     bytes: &[u8],
     mut f: impl FnMut(&str, u64, &[u8]) -> Result<(), String>,

@@ -1,8 +1,8 @@
-/*! The mismatch finder: what does not fit between a policy and a log of a robot that it ran on.
+/*! Finds mismatches between a policy and the log of a robot that it ran on.
 
-The policy is replayed on the logged readings, and its joint targets are compared with those that were sent. If they differ, the
-usual mistakes are tried one after the other: with the right one undone, the replay fits. Gains are compared directly, and with
-what torques, angles and rates say; units and quaternion with what is physically possible.
+The policy is replayed on the logged readings, and its joint targets are compared with those that were sent. If they differ, the usual
+mistakes are tried one after the other: with the right one undone, the replay fits. Gains are compared with those of the policy, and with
+those that torques, angles and rates imply; units and quaternion with physical limits.
 */
 
 mod bag;
@@ -30,7 +30,7 @@ const FITS_RAD: f64 = 0.02;
 /// A mistake is accepted if undoing it leaves less than this fraction of the difference.
 const BETTER: f64 = 0.6;
 
-/// Most mistakes that are looked for, one after the other.
+/// Largest number of mistakes that are found, one after the other.
 const MOST: usize = 3;
 
 /// Longest delay that is tried, in steps of a row \[s\].
@@ -46,13 +46,13 @@ const SEARCH_S: f64 = 1.0;
 /// Time over which differences are averaged \[s\].
 const WINDOW_S: f64 = 0.1;
 
-/// Least time of the policy that says anything \[s\].
+/// Least time of the policy's phase for a verdict \[s\].
 const LEAST_S: f64 = 2.0;
 
 /// A mismatch, or the statement that there is none.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Finding {
-    /// The misfit in words.
+    /// Description of the mismatch.
     pub text: String,
     /// Remaining difference between replayed and sent joint targets \[rad\], where it was measured.
     pub difference_rad: Option<f64>,
@@ -65,7 +65,7 @@ pub struct Verdict {
     pub at_first_rad: f64,
     /// Difference after all mistakes are undone \[rad\].
     pub at_last_rad: f64,
-    /// The things that do not fit.
+    /// The mismatches.
     pub findings: Vec<Finding>,
 }
 
@@ -131,13 +131,13 @@ impl Period {
     }
 }
 
-/// Returns the difference between sent targets and replayed ones that are `delay` rows old \[rad\]: the root mean square of each
-/// tenth of a second, and of these the upper quartile. A mistake is always there; but which foot a standing robot lifts first is
-/// decided by the last digits, and a replay may lift another.
+/// Returns the difference between sent targets and replayed ones that are `delay` rows old \[rad\]: the root mean square of each tenth of a
+/// second, and of these the upper quartile. A mistake shows in all of them. A replay of a standing robot may also differ in some, as
+/// rounding decides which foot it lifts first.
 fn difference(replayed: &[(Joints, Joints)], delay: usize, period: Period) -> f64 {
-    // What is no number, or no target, is far off.
+    // A value that is not finite, or is no target, counts as 10 rad.
     let square = |a: f64, b: f64| if (a - b).abs() < 10.0 { (a - b).powi(2) } else { 100.0 };
-    // The delay line is full of the stance at first.
+    // At first, the delay line holds only the stance.
     let settled = replayed.iter().zip(replayed.iter().skip(delay)).skip(period.rows(LONGEST_DELAY_S));
     let squares = |wanted: &Joints, sent: &Joints| {
         wanted.iter().zip(sent).map(|(a, b)| square(*a, *b)).sum::<f64>() / JOINTS as f64
@@ -156,8 +156,7 @@ fn best_delay(replayed: &[(Joints, Joints)], period: Period) -> (usize, f64) {
     each.min_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((0, f64::INFINITY))
 }
 
-/// Checks a log against a policy; `latency_s` is the delay of the joint targets that is wanted \[s\], `None` for that of the
-/// policy's training.
+/// Checks a log against a policy; `latency_s` is the expected delay of the joint targets \[s\], `None` for that of the policy's training.
 ///
 /// # Errors
 /// The log is too short, or the policy is not one of a Go2.
@@ -215,7 +214,7 @@ fn physical(rows: &[(String, Row)], agent: &Agent) -> Vec<Finding> {
     let rows: Vec<&Row> = rows.iter().filter(|(phase, _)| phase == "policy").map(|(_, row)| row).collect();
     let simulation = &agent.config.simulation;
     let gains = [simulation.kp_n_m_per_rad.joints(), simulation.kd_n_m_s_per_rad.joints()];
-    // A log has those of the first joint.
+    // A log has only the gains of the first joint.
     let [wanted_kp, wanted_kd] = gains.map(|joints| joints[0]);
     let [sent_kp, sent_kd] = rows.first().map_or([wanted_kp, wanted_kd], |row| row.gains);
     let differs = |found: f64, wanted: f64, by: f64| (found - wanted).abs() > by * wanted;

@@ -64,7 +64,7 @@ impl LogRows {
             sources.push(match (place(ours), names.constants.get(ours)) {
                 (Some(place), _) => Ok(place),
                 (None, Some(constant)) => Err(*constant),
-                // Of the policy's own compliance, in older logs and those of others.
+                // Older logs and those of other programs have no commanded compliance.
                 (None, None) if ours == COMPLIANCE => Err(0.0),
                 (None, None) => bail!(
                     "the log has no column '{ours}': describe its columns in a YAML file (--columns), with the name of each of ours \
@@ -76,7 +76,7 @@ impl LogRows {
         let mut rows = Vec::new();
         for record in table.records() {
             let record = record.map_err(fail)?;
-            // The last line of a program that was killed.
+            // A program that was killed may leave an incomplete last line.
             if record.len() < found.len() {
                 continue;
             }

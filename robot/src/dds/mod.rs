@@ -1,8 +1,8 @@
 /*! DDS on one network interface: a [`Node`] that publishes and listens.
 
-What the robot's own software (Cyclone DDS 0.10) needs, and dust_dds does not do by itself, is in two places: `transport`, and the
-settings below. Whatever is sent at a fixed rate is sent best-effort: a reliable writer blocks while a reader that was
-killed counts as alive, so that one dead `ros2 topic echo` would stop the robot.
+The robot's own software (Cyclone DDS 0.10) needs more than dust_dds does by default: see `transport`, and the settings below. Messages at a
+fixed rate are sent best-effort: a reliable writer blocks while a killed reader counts as alive, so one dead `ros2 topic echo` would stop
+the robot.
 */
 
 pub(crate) mod switcher;
@@ -47,7 +47,7 @@ pub struct Place {
     pub domain: u16,
     /// Address of the interface; nothing is sent on any other one.
     pub address: Ipv4Addr,
-    /// Addresses that are announced to one by one, for networks without multicast.
+    /// Addresses of peers to announce to individually, for networks without multicast.
     pub peers: Vec<Ipv4Addr>,
 }
 
@@ -106,8 +106,8 @@ pub(crate) struct Arrival<T> {
 /// Identity of a writer.
 pub type WriterId = [u8; 16];
 
-/// How much is done for a message to arrive: best effort for what is sent at a fixed rate, where a lost message is lost; reliable for
-/// requests and responses, which are repeated.
+/// The delivery of messages: best effort for what is sent at a fixed rate, where a lost message is lost; reliable for requests and
+/// responses, which are repeated.
 pub use dust_dds::infrastructure::qos_policy::ReliabilityQosPolicyKind as Delivery;
 
 fn reliability(kind: Delivery) -> ReliabilityQosPolicy {
@@ -164,7 +164,7 @@ impl Node {
             .map_err(dds("configuration"))?;
         let id = std::process::id().to_be_bytes();
         let factory = DomainParticipantFactoryAsync::new(StdRuntime::new(), id, address.octets(), udp, configuration);
-        // dust_dds wants the factory for ever; a program opens a node once.
+        // dust_dds needs a static factory; as a program opens only one node, it may be leaked.
         let participant = DomainParticipantFactory::new(Box::leak(Box::new(factory)))
             .create_participant(domain.into(), QosKind::Default, NO_LISTENER, NO_STATUS)
             .map_err(dds("joining"))?;

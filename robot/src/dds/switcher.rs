@@ -97,8 +97,8 @@ impl Mode {
     }
 }
 
-/// Answers requests until it is dropped; calls `changed` with the mode after each request to the switcher. The robot's own
-/// controller says yes to everything until it is released, and is silent then.
+/// Answers requests until it is dropped; calls `changed` with the mode after each request to the switcher. The robot's own controller
+/// accepts every request until it is released; then it does not answer.
 pub fn serve(node: &Node, mut changed: impl FnMut(&Mode) + Send + 'static) -> Result<impl Sized> {
     let mode = Arc::new(Mutex::new(Mode::normal()));
     let asked = Arc::clone(&mode);

@@ -64,7 +64,7 @@ impl Udp {
     }
 }
 
-/// Joins the multicast group. A network without multicast is left to peers.
+/// Joins the multicast group. Without multicast, only peers are reached.
 fn group(address: Ipv4Addr, port: u16) -> io::Result<UdpSocket> {
     let group = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP))?;
     group.set_reuse_address(true)?;
@@ -91,7 +91,7 @@ fn listen(name: &str, socket: UdpSocket, receiver: TransportDataReceiver) {
             }
         }
     };
-    // Without a thread there is no memory either; the node then hears nothing, which its users notice.
+    // Without a thread there is no memory either; the node then receives nothing, which its users detect.
     let _ = std::thread::Builder::new().name(name.into()).spawn(run);
 }
 
@@ -152,8 +152,8 @@ impl WriteMessage for Writer {
 const DATA: u8 = 0x15;
 /// Kinds of submessages that may be empty (PAD, INFO_TS); any other length 0 means "to the end".
 const MAY_BE_EMPTY: [u8; 2] = [0x01, 0x09];
-/// Kind of a submessage that tells where to answer (INFO_REPLY), which no implementation that we know sends. dust_dds 0.16 has a
-/// `todo!` there, whose panic would end DDS in this program.
+/// Kind of a submessage with the address for answers (INFO_REPLY), which no implementation that we know sends. dust_dds 0.16 has a `todo!`
+/// there, whose panic would end DDS in this program.
 const INFO_REPLY: u8 = 0x0F;
 /// Parameter that carries the type information.
 const TYPE_INFORMATION: u16 = 0x0075;
@@ -163,10 +163,10 @@ const SENTINEL: u16 = 1;
 const DISCOVERY_WRITERS: [[u8; 4]; 2] = [[0, 0, 3, 0xC2], [0, 0, 4, 0xC2]];
 
 /// Blanks the type information that a peer announces with its readers and writers; `None` if the message is malformed, or has an
-/// [`INFO_REPLY`], and must not be heard.
+/// [`INFO_REPLY`], and must be dropped.
 ///
-/// dust_dds 0.16 would ask such a peer for its types and match nothing until it answers, but Cyclone 0.10.2, the robot's, does
-/// not know that request. Without the parameter both sides match by the type's name.
+/// dust_dds 0.16 would ask such a peer for its types and match nothing until it answers, but Cyclone 0.10.2, the robot's, does not support
+/// that request. Without the parameter both sides match by the type's name.
 fn forget_types(message: &mut [u8]) -> Option<()> {
     let word = |message: &[u8], at: usize, little: bool| {
         let pair = [*message.get(at)?, *message.get(at + 1)?];

@@ -1,7 +1,7 @@
 /*! The simulated Go2 behind the interface: motors that obey commands, and the state that its sensors report.
 
-The motors' own loop runs at the physics rate. The playback's controller stands for it: with a proportional gain of one and
-no derivative gain, the joint target `angle + torque` makes the simulation apply exactly that torque.
+The motors' own loop runs at the physics rate. It runs as the playback's controller: with a proportional gain of one and no derivative gain,
+the joint target `angle + torque` makes the simulation apply exactly that torque.
 */
 
 use std::sync::{Arc, Mutex, PoisonError};
@@ -30,8 +30,8 @@ pub const STATE_HZ: u32 = 500;
 /// Rate of the frames for metrics and recordings \[Hz\].
 const FRAME_HZ: u32 = 50;
 
-/// Temperatures: of the surroundings and of a motor at first \[°C\], rise per squared torque, and time constant \[s\]. Assumed:
-/// 10 N·m for ever end at 85 °C.
+/// Temperatures: of the surroundings and of a motor at first \[°C\], rise per squared torque, and time constant \[s\]. Assumed: a constant
+/// 10 N·m ends at 85 °C.
 const AMBIENT_C: f64 = 25.0;
 const START_C: f64 = 35.0;
 const RISE_C_PER_N2_M2: f64 = 0.6;
@@ -152,7 +152,7 @@ impl Body {
         self.averaged = Average::default();
     }
 
-    /// Sets what the motors obey from now on.
+    /// Sets the commands to the motors.
     pub fn command(&mut self, motors: &[MotorCmd; JOINTS]) {
         self.commands.lock().unwrap_or_else(PoisonError::into_inner).clone_from(motors);
     }
@@ -287,7 +287,7 @@ impl Body {
         level * sim.parts().world_from_base(sim.data())
     }
 
-    /// Returns what a person beside the robot sees.
+    /// Returns the state that the operator sees.
     pub fn sight(&self, now_s: f64, is_commanded: bool) -> Sight {
         let up = self.world_from_base() * Vector3::z();
         let height_m = self.playback.sim().state().height;
@@ -303,7 +303,7 @@ struct Average {
 }
 
 impl Average {
-    /// Adds a frame; returns the mean of `count` of them. What is not summed is that of the last frame.
+    /// Adds a frame; returns the mean of `count` of them. Values that are not averaged are those of the last frame.
     fn add(&mut self, mut frame: Frame, count: u32) -> Option<Frame> {
         let before = std::mem::take(&mut self.mean);
         if self.frames > 0 {

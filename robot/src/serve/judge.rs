@@ -1,4 +1,4 @@
-/*! Which commands the simulated robot obeys, and what its client does wrong, in words. */
+/*! Decides which commands the simulated robot obeys, and describes the faults of its client. */
 
 use std::collections::BTreeMap;
 
@@ -15,7 +15,7 @@ pub const SILENCE_S: f64 = 0.1;
 /// Time between two commands from which on the second one is late \[s\]; 100 Hz is the least that is legal.
 const LATE_S: f64 = 0.0125;
 
-/// The largest gains that make sense: a Go2 shakes long before [N·m/rad], [N·m·s/rad].
+/// The largest gains of a valid command [N·m/rad], [N·m·s/rad]; a Go2 shakes at much lower ones.
 const MAX_GAINS: [f32; 2] = [500.0, 50.0];
 
 /// Kinds of faults of a client; commands with one up to `NotReleased` are refused.
@@ -124,7 +124,7 @@ impl Judge {
         self.accepted += 1;
     }
 
-    /// Notes the passing of time; returns a complaint when a silence begins.
+    /// Damps the motors after a silence until `now_s` \[s\]; returns a complaint when it begins.
     pub fn wait(&mut self, now_s: f64) -> Option<Complaint> {
         let last_s = self.last_s.filter(|last_s| !self.is_silent && now_s - last_s > SILENCE_S)?;
         self.is_silent = true;

@@ -1,4 +1,4 @@
-//! A connection that is worse than a cable: messages that come late, in another order, or never.
+//! A connection with faults: messages arrive late, out of order, or never.
 
 use std::collections::VecDeque;
 
@@ -15,7 +15,7 @@ pub struct Faults {
     pub loss: f64,
 }
 
-/// Messages on their way.
+/// Messages under way.
 pub struct Link<T> {
     faults: Faults,
     /// Time of arrival \[s\] and message, in order of arrival.

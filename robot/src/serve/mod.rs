@@ -1,7 +1,7 @@
 /*! The robot's side: a simulated Go2 that is as strict as a real one.
 
-Start with [`play()`]; `body` is the simulation behind the interface, `judge` decides which commands it obeys, `operator` is the person
-with the remote, `link` makes the connection worse on demand, `page` lets people push and pull.
+Start with [`play()`]; `body` is the simulation behind the interface, `judge` decides which commands it obeys, `operator` is the person with
+the remote. `link` adds delay and loss to the connection, and `page` is a page to push and pull the robot.
 */
 
 pub(crate) mod body;

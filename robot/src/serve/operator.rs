@@ -1,4 +1,4 @@
-//! The person with the remote, who starts a scenario when the robot is ready.
+//! A simulated operator with the remote, who starts a scenario when the robot is ready.
 
 use supple::task::Command;
 

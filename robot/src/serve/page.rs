@@ -1,4 +1,4 @@
-//! The page of `drive` beside a served robot: hands push and pull it, and the page's stick is that of the remote.
+//! The page of `drive` for a served robot: pushes and pulls it, and its stick stands for the remote's.
 
 use std::net::{IpAddr, Ipv4Addr};
 use std::sync::Arc;
@@ -39,7 +39,7 @@ struct ServedRobot {
     scene: Scene,
     seed: u64,
     range: Command,
-    /// Frames that were shown; those before a scenario have no time of their own.
+    /// Frames that were shown, which give the time, as frames before a scenario have none.
     frames: u64,
     falls: u32,
 }
@@ -96,7 +96,7 @@ impl Page {
         Ok(server::start(here, port, to_robot, self.publisher.updates.clone(), hello)?.0)
     }
 
-    /// Takes the messages that have come, and pushes and pulls the robot as they say. A page that falls silent lets go.
+    /// Takes the messages that have come, and pushes and pulls the robot accordingly. The silence of a page ends its pull.
     pub fn act(&mut self, body: &mut Body) {
         while let Ok(message) = self.messages.try_recv() {
             match self.publisher.driver.take(message) {
@@ -108,7 +108,7 @@ impl Page {
                         body.playback.push(linear);
                         self.publisher.note_input(&self.robot, &Input::Act(act));
                     }
-                    // Compliance is the client's, and a robot that is commanded from outside is not put elsewhere.
+                    // The client decides about compliance, and a robot under its control is not reset.
                     Act::Comply { .. } | Act::Reset => {}
                 },
                 Heard::Other(Message::Notice(text)) => self.publisher.notice(text),
@@ -134,7 +134,7 @@ impl Page {
         self.hold(None, body);
     }
 
-    /// Shows what a tick has brought.
+    /// Shows the frame and the events of a tick.
     pub fn show(&mut self, frame: Option<&Frame>, events: &[Event]) {
         self.events.extend_from_slice(events);
         let Some(frame) = frame else { return };

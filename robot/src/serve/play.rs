@@ -48,8 +48,8 @@ const GIVE_UP_S: f64 = 0.05;
 /// Repeated complaints of one kind are printed no more often than this \[s\].
 const REPEAT_S: f64 = 2.0;
 
-/// Keeping of time: the number of ticks, of those that began more than 2 ms late, and of those that were left out because the machine is
-/// too slow; and the latest begin of a tick \[s\].
+/// Timing: the numbers of ticks, of late ones (by more than 2 ms), and of those skipped because the machine is too slow; and the largest
+/// delay of a tick \[s\].
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 struct Pace {
     ticks: u64,
@@ -195,7 +195,7 @@ impl<'a> Served<'a> {
         let changed = move |mode: &Mode| switched.store(always || mode.is_released(), Ordering::Relaxed);
         let _switcher = switcher::serve(&node, changed)?;
         let (sender, arrivals) = sync_channel::<Arrival<LowCmd>>(64);
-        // Full: this loop is too slow, and the message is lost as on a full network.
+        // If the queue is full, this loop is too slow, and the message is lost.
         let take = move |arrival| drop(sender.try_send(arrival));
         let _commands = node.listen(COMMANDS, LowCmd::TYPE, Delivery::BestEffort, take)?;
         let states = node.publish::<LowState>(STATES, LowState::TYPE, Delivery::BestEffort)?;
@@ -220,7 +220,7 @@ impl<'a> Served<'a> {
                 break;
             }
             due_s += 1.0 / f64::from(STATE_HZ);
-            // Until the next tick: messages.
+            // Takes messages until the next tick.
             loop {
                 let now_s = self.now_s();
                 // A client that is gone gets no state.
@@ -341,7 +341,7 @@ fn open_page(settings: &Settings, full: FullSticks, script: &Script) -> anyhow::
 struct Recording {
     sender: SyncSender<(Option<Frame>, Vec<Event>)>,
     thread: JoinHandle<Result<(), RecordError>>,
-    /// Time that has been recorded \[s\]; frames before the scenario have no time of their own.
+    /// Recorded time \[s\]; frames before the scenario have no time.
     time_s: f64,
     lost: u64,
 }

@@ -34,7 +34,7 @@ pub struct Settings {
     /// Obey without a release of the robot's own controller, as simulators do
     #[arg(long)]
     pub released: bool,
-    /// Do not look at head and level flag, which some clients leave at zero
+    /// Ignore head and level flag, which some clients leave at zero
     #[arg(long)]
     pub any_head: bool,
     /// Velocities that full sticks of the remote mean: forward (m/s), left (m/s), turning (rad/s)
@@ -52,7 +52,7 @@ pub struct Settings {
     /// Recording to write
     #[arg(long, value_name = "FILE", help_heading = "Output")]
     pub record: Option<PathBuf>,
-    /// Open a page in which the robot is pushed and pulled by hand, and without a scenario its remote's stick is moved
+    /// Open a page to push and pull the robot and, without a scenario, to move the remote's sticks
     #[arg(long, help_heading = "Page")]
     pub page: bool,
     /// Port of the page, 0 for any free port

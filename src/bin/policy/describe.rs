@@ -1,4 +1,4 @@
-//! `policy describe`: writes the YAML file of an external policy from what its framework wrote.
+//! `policy describe`: writes the YAML file of an external policy from the file of its framework.
 
 use std::path::{Path, PathBuf};
 

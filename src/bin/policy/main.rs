@@ -154,9 +154,7 @@ fn run(command: PolicyCommand) -> anyhow::Result<()> {
             let Some(policy) = agent.policy() else {
                 let asked = if config.is_some() { Some("--config") } else { (samples > 0).then_some("--samples") };
                 if let Some(asked) = asked {
-                    anyhow::bail!(
-                        "{name} is an external policy, which does not say how it was trained: leave out {asked}"
-                    );
+                    anyhow::bail!("{name} is an external policy, whose training is unknown: leave out {asked}");
                 }
                 return verify_external(&name, &agent);
             };
@@ -173,9 +171,11 @@ fn run(command: PolicyCommand) -> anyhow::Result<()> {
             let threads =
                 threads.map_or_else(|| std::thread::available_parallelism().map_or(1, usize::from), usize::from);
             let mut agent = shipped::find_uncalibrated(&policy)?;
-            // Not after minutes of work.
+            // A wrong path fails now, not after minutes of work.
             let path = shipped::file_of(&policy).map(|file| PolicyCalibration::path(&file));
-            let out = out.or(path).context("a policy inside the program has no place beside it: say --out FILE")?;
+            let out = out
+                .or(path)
+                .context("a policy inside the program has no folder for its calibration: give --out FILE")?;
             let calibration = calibrate(&mut agent, threads).with_context(|| policy.clone())?;
             write(&out, format!("{}\n", serde_json::to_string_pretty(&calibration)?).as_bytes())?;
             terminal::print(calibration_table(&calibration))?;
@@ -200,14 +200,14 @@ fn run(command: PolicyCommand) -> anyhow::Result<()> {
         PolicyCommand::Export { policy, format: ExportFormat::Onnx, out } => {
             let calibration = shipped::find(&policy)?.calibration;
             let (policy, name) = (shipped::find_ours(&policy)?, out.file_name().unwrap_or_default());
-            // What `scenario` needs to run the network again, and what tells others how to use it.
+            // The description, with which Supple can run the network again and others learn how to use it.
             let description = out.with_extension("yaml");
             let is_file = matches!(Target::of(&out), Ok(Target::File(_)));
             if is_file {
                 spare(&out, &description)?;
             }
             write(&out, &onnx::export(&policy))?;
-            // There is nothing beside a pipe or a device.
+            // A pipe or a device has no folder for other files.
             if is_file {
                 write(&description, external::describe(&policy, &name.to_string_lossy()).as_bytes())?;
                 // The network yields like the policy: its calibration holds for the network's files.
@@ -235,8 +235,8 @@ fn verify_external(name: &str, agent: &Agent) -> anyhow::Result<()> {
     controller.begin(&state);
     check_finite(&controller.joint_targets(&state, &Command::default())).with_context(|| name.to_owned())?;
     terminal::print(format_args!(
-        "it fits its description, and its joint targets for a robot that stands are finite; it has no golden ones to compare \
-         with, `policy show` prints how it is understood; sha256 {}\n",
+        "it fits its description, and its joint targets for a robot that stands are finite; it has no golden ones to \
+         compare with, `policy show` prints its interpretation; sha256 {}\n",
         agent.sha256
     ))?;
     Ok(())
@@ -247,7 +247,7 @@ fn check_finite(targets: &Joints) -> anyhow::Result<()> {
     match (0..JOINTS).find(|joint| !targets[*joint].is_finite()) {
         None => Ok(()),
         Some(joint) => anyhow::bail!(
-            "the joint target of {} is {}: the policy cannot cope with these numbers",
+            "the joint target of {} is {}: the policy does not support these numbers",
             joint_name(joint),
             targets[joint]
         ),

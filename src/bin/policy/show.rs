@@ -47,7 +47,7 @@ pub fn description(policy: &Policy) -> String {
     text
 }
 
-/// Describes an external policy as it is understood: every number that it sees, and every joint in the order of its outputs.
+/// Describes the interpretation of an external policy: every number that it observes, and every joint in the order of its outputs.
 pub fn external_description(name: &str, agent: &Agent) -> String {
     let Inference { layout, action, .. } = agent.inference();
     let JointPositionAction { nominal_pose, meaning, scale_rad, clip } = action;

@@ -23,16 +23,16 @@ use supple::util::terminal::{self, shell_word};
 
 /// Train a policy to walk, to yield when pushed, and to get up to speed again.
 ///
-/// Metrics go to DIR/metrics.jsonl and to TensorBoard event files in DIR, the policy to DIR/policy.safetensors.
-/// Ctrl-C finishes the iteration, writes a checkpoint and says how to go on; a second one stops at once.
+/// Metrics go to DIR/metrics.jsonl and to TensorBoard event files in DIR, the policy to DIR/policy.safetensors. Ctrl-C finishes the
+/// iteration, writes a checkpoint and prints how to resume; a second one stops at once.
 #[derive(Parser, Clone)]
 #[command(name = env!("CARGO_BIN_NAME"), version = supple::provenance::version())]
 struct Args {
-    /// Configuration: fast, fast-baseline, compliant, baseline, real, go2, go2-baseline, go2-real, or a YAML file;
-    /// with --resume, the one that the run must have [default: fast]
+    /// Configuration: fast, fast-baseline, compliant, baseline, real, go2, go2-baseline, go2-real, or a YAML file; with --resume, refuse to
+    /// continue a run of another one [default: fast]
     #[arg(long, value_name = "NAME|FILE")]
     config: Option<String>,
-    /// Robot to train on, to which the configuration is fitted: an MJCF file, or a YAML file about one
+    /// Robot to train on, to which the configuration is fitted: an MJCF file, or a YAML file that describes one
     #[arg(long, value_name = "FILE", conflicts_with = "resume")]
     robot: Option<String>,
     /// Another value for a key of the configuration, as in ppo.epochs=4; may be repeated
@@ -41,7 +41,7 @@ struct Args {
     /// Seed of everything random in the run [default: 0]
     #[arg(long, value_name = "N", conflicts_with = "resume")]
     seed: Option<u64>,
-    /// Train several seeds beside one another, as 0-4 or 0,3,7; the same command goes on with those that are not complete
+    /// Train several seeds beside one another, as 0-4 or 0,3,7; the same command resumes those that are not complete
     #[arg(long, value_name = "LIST", conflicts_with_all = ["resume", "seed"], value_parser = Seeds::parse)]
     seeds: Option<Seeds>,
     /// Train a variant for each value of a key, as in reward.energy=-0.01,-0.02, or for each name in a YAML file
@@ -52,10 +52,10 @@ struct Args {
     at_once: Option<u16>,
     #[arg(skip)]
     is_one_of_several: bool,
-    /// Samples of the whole run; a resumed run keeps its own unless told otherwise [default: the configuration's]
+    /// Samples of the whole run; a resumed run keeps its own by default [default: the configuration's]
     #[arg(long, value_name = "N")]
     samples: Option<u64>,
-    /// Folder of the new run, must not exist [default: runs/CONFIG-seedN]; of several runs, what stands before -seedN
+    /// Folder of the new run, must not exist [default: runs/CONFIG-seedN]; for several runs, the part before -seedN
     #[arg(long, value_name = "DIR", conflicts_with = "resume")]
     out: Option<PathBuf>,
     /// Resume the run in this folder, exactly from its checkpoint
@@ -64,7 +64,7 @@ struct Args {
     /// Worker threads of each run; the result does not depend on them [default: all cores]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
-    /// Under mpirun: end all ranks when one has kept another waiting for so long (s)
+    /// Under mpirun: end all ranks when one has waited for another for this time (s)
     #[cfg(feature = "mpi")]
     #[arg(long, value_name = "S", default_value_t = 60, value_parser = clap::value_parser!(u64).range(1..))]
     rank_timeout: u64,
@@ -80,7 +80,7 @@ fn main() -> ExitCode {
     };
     match run(args, &ranks) {
         Err(error) if ranks.count() > 1 && !is_common(&error) => {
-            // The others do not know. That this process ends is what ends them.
+            // The other ranks have no error yet; the end of this process ends them.
             terminal::conclude(Err::<(), _>(error.context(ranks.name(ranks.index()))));
             std::process::exit(2)
         }
@@ -135,13 +135,13 @@ fn train(
              (ppo.max_learning_rate, ppo.desired_kl)"
                 .to_owned()
         } else {
-            format!("the checkpoint of iteration {saved} is whole, go on from it with: {}", resuming(folder.path()))
+            format!("the checkpoint of iteration {saved} is complete, resume from it with: {}", resuming(folder.path()))
         };
         return Err(error.context(format!("stopped; {way_on}")));
     }
     let samples = trainer.run().samples;
     Ok(if samples < total {
-        format!("stopped after {samples} samples; go on with: {}", resuming(folder.path()))
+        format!("stopped after {samples} samples; resume with: {}", resuming(folder.path()))
     } else {
         format!("done: {samples} samples; the policy is {path}/policy.safetensors")
     })
@@ -179,7 +179,7 @@ fn iterate(
             save(trainer, folder.as_ref())?;
             *saved = metrics.iteration;
             if bar.is_hidden() && folder.is_some() {
-                // No terminal, as in a batch job's log.
+                // There is no terminal, as in the log of a batch job.
                 let (samples, summary) = (metrics.samples, summary(&metrics));
                 let left = total.saturating_sub(samples);
                 let pace = pace(samples - first, begun.elapsed().as_secs_f64(), left, "samples");
@@ -202,8 +202,8 @@ fn save(trainer: &Trainer, folder: Option<&RunFolder>) -> anyhow::Result<()> {
     together(trainer.ranks(), saved.map_err(anyhow::Error::from))
 }
 
-/// Handles signals: the first Ctrl-C (or SIGTERM, or SIGHUP) asks to stop, the second one, or one before training has
-/// begun, ends the program at once, which is safe because checkpoints are complete at every moment.
+/// Handles signals: the first Ctrl-C (or SIGTERM, or SIGHUP) asks to stop. The second one, or one before training has begun, ends the
+/// program at once; that is safe because the checkpoint on disk is always complete.
 fn stop_on_signals(stop: Arc<AtomicBool>, training: Arc<AtomicBool>, speaks: bool) -> anyhow::Result<()> {
     let ask = move || {
         if !training.load(Ordering::Relaxed) {
@@ -215,7 +215,7 @@ fn stop_on_signals(stop: Arc<AtomicBool>, training: Arc<AtomicBool>, speaks: boo
             terminal::note("stopping after this iteration; once more to stop at once");
         }
     };
-    let last_words = "stopped at once; what came after the last checkpoint is lost";
+    let last_words = "stopped at once; the training after the last checkpoint is lost";
     terminal::on_signals(ask, last_words).context("cannot catch Ctrl-C")
 }
 
@@ -225,7 +225,7 @@ fn keep_physics_faults(trainer: &Trainer, folder: &RunFolder, bar: &ProgressBar)
         let EpisodeFault { error, environment, step, .. } = fault;
         let kept = match folder.keep_physics_fault(trainer.run().iteration, fault) {
             Ok(Some(file)) => format!("; its last second is in {}", file.display()),
-            // There are enough on file, and enough were shown.
+            // Enough faults are stored, and enough were shown.
             Ok(None) => continue,
             Err(problem) => format!("; its last second could not be kept: {problem}"),
         };
@@ -243,8 +243,8 @@ fn explain(error: TrainError, folder: Option<&RunFolder>) -> anyhow::Error {
         return error.into();
     };
     let kept = match folder.keep_learner_fault(minibatch, circumstances) {
-        Ok(file) => format!("what led there is in {} and fault-minibatch.csv beside it", file.display()),
-        Err(problem) => format!("and so did keeping why: {problem}"),
+        Ok(file) => format!("the diagnosis is in {} and fault-minibatch.csv beside it", file.display()),
+        Err(problem) => format!("the diagnosis could not be saved: {problem}"),
     };
     anyhow::Error::from(error).context(format!("training failed; {kept}"))
 }

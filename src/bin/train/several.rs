@@ -26,10 +26,10 @@ struct Planned {
     folder: PathBuf,
 }
 
-/// Trains the runs that the arguments name, and goes on with those that exist.
+/// Trains the runs that the arguments name, and resumes those that exist.
 ///
 /// # Errors
-/// The arguments are wrong, or runs failed; those that can go on do so first.
+/// The arguments are wrong, or runs failed; all others are completed first.
 pub fn train_all(args: &Args, cores: usize, stop: &AtomicBool, training: &AtomicBool) -> anyhow::Result<()> {
     let planned = planned(args)?;
     let at_once = args.at_once.map_or(cores, usize::from).min(planned.len());
@@ -57,9 +57,9 @@ pub fn train_all(args: &Args, cores: usize, stop: &AtomicBool, training: &Atomic
     for error in &failures {
         terminal::note(format_args!("error: {error:#}"));
     }
-    ensure!(count == 0, "{count} of {} runs failed; the same command goes on with the others", planned.len());
+    ensure!(count == 0, "{count} of {} runs failed; the same command resumes the others", planned.len());
     if stop.load(Ordering::Relaxed) {
-        terminal::note("stopped; the same command goes on");
+        terminal::note("stopped; the same command resumes the runs");
     }
     Ok(())
 }
@@ -121,7 +121,7 @@ impl Seeds {
             ranges.ok_or("expected numbers and ranges, such as 0-4 or 0,3,7")?.into_iter().flatten().collect();
         seeds.sort_unstable();
         match seeds.windows(2).find(|pair| pair[0] == pair[1]) {
-            Some(pair) => Err(format!("seed {} stands there twice", pair[0])),
+            Some(pair) => Err(format!("seed {} is given twice", pair[0])),
             None => Ok(Seeds(seeds)),
         }
     }
@@ -157,7 +157,7 @@ mod tests {
         for wrong in ["", "a", "3-1", "0-", "-1", "0-99999999"] {
             assert!(Seeds::parse(wrong).is_err(), "{wrong}");
         }
-        assert!(Seeds::parse("1,0-2").unwrap_err().contains("seed 1 stands"));
+        assert!(Seeds::parse("1,0-2").unwrap_err().contains("seed 1 is given twice"));
     }
 
     #[test]

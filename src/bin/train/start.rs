@@ -100,10 +100,10 @@ fn check_alike(trainer: &Trainer) -> anyhow::Result<()> {
     Ok(supple::ranks::check_alike(trainer.ranks(), facts)?)
 }
 
-/// Returns the name and the configuration that the arguments ask for; with `speaks`, tells how it fits a robot.
+/// Returns the name and the configuration that the arguments ask for; with `speaks`, prints how it is fitted to a robot.
 pub fn configured(args: &Args, speaks: bool) -> anyhow::Result<(String, Config)> {
     let name = args.config.as_deref().unwrap_or(DEFAULT);
-    // Of a robot's own, --set speaks once everything is fitted to it.
+    // With --robot, --set applies after the configuration has been fitted.
     let set = if args.robot.is_some() { &[] } else { &args.set[..] };
     let (mut config, notes) = Config::load_with_notes(name, set)?;
     if speaks {
@@ -140,8 +140,8 @@ fn new_trainer(args: &Args, threads: usize, ranks: &Arc<dyn Ranks>) -> anyhow::R
     Ok((Trainer::with_ranks(Arc::clone(ranks), &name, config, seed, threads)?, out))
 }
 
-/// Returns the number of shards of a new run on several ranks: what the configuration says, or enough for all ranks if it says 1,
-/// as every shipped one does, and no change on the command line does.
+/// Returns the number of shards of a new run on several ranks: that of the configuration, or enough for all ranks if it is 1, as in shipped
+/// ones, and not set on the command line.
 fn shards(configured: usize, changes: &[String], ranks: usize) -> usize {
     let is_asked_for = changes.iter().any(|change| change.starts_with("ppo.shards="));
     if configured != 1 || is_asked_for { configured } else { ranks.max(SHARDS).next_power_of_two() }
@@ -151,9 +151,7 @@ fn shards(configured: usize, changes: &[String], ranks: usize) -> usize {
 fn check_memory(config: &Config, ranks: &dyn Ranks) -> anyhow::Result<MemoryEstimate> {
     let memory = MemoryEstimate::new(config)?.for_ranks(ranks.here(), ranks.count());
     if let Some(shortage) = memory.check()? {
-        terminal::note(format_args!(
-            "warning: {shortage}; going on, since the system may give back memory of its caches"
-        ));
+        terminal::note(format_args!("warning: {shortage}; continuing, as the system may free memory of its caches"));
     }
     Ok(memory)
 }
@@ -167,7 +165,7 @@ pub fn resume(
 ) -> anyhow::Result<(Trainer, Option<RunFolder>)> {
     let opened = (ranks.index() == 0).then(|| read(path, args)).transpose();
     let opened = together(&**ranks, opened)?;
-    // The first rank has read it, the others hear of it.
+    // The first rank has read it and sends it to the others.
     let bytes = opened.as_ref().filter(|_| ranks.count() > 1).map(|(_, checkpoint)| checkpoint.to_bytes());
     let bytes = bytes.transpose().map_err(Into::into);
     let bytes = ranks.gather(together(&**ranks, bytes)?.unwrap_or_default()).concat();
@@ -184,9 +182,9 @@ pub fn resume(
     let (robot, model) = (&trainer.run().robot_sha256, &trainer.run().config.robot.model);
     if *robot != begun_with && ranks.index() == 0 {
         terminal::note(format_args!(
-            "warning: the robot {model} has changed since the checkpoint, or this program reads it differently than the one that \
-             wrote it: its SHA-256 was {begun_with:.12} and is {robot:.12}; the run goes on with the robot as it is now, so put the \
-             old file back if that is not meant"
+            "warning: the robot {model} has changed since the checkpoint, or this program reads it differently than \
+             the one that wrote it: its SHA-256 was {begun_with:.12} and is {robot:.12}; the run continues with the \
+             present robot; restore the old file to avoid that"
         ));
     }
     let written = folder.as_ref().map_or(Ok(()), |folder| {
@@ -214,15 +212,15 @@ fn read(path: &Path, args: &Args) -> anyhow::Result<(RunFolder, Checkpoint)> {
     let revision = git_revision();
     if begun_by != revision {
         terminal::note(format_args!(
-            "note: the checkpoint was written by revision {begun_by}, this program is {revision}: what follows may \
-             differ from what that one would have done"
+            "note: the checkpoint was written by revision {begun_by}, this program is {revision}: results may differ \
+             from those of that revision"
         ));
     }
     let (begun_with, mujoco) = (&checkpoint.run.mujoco_version, mujoco_version());
     if !begun_with.is_empty() && begun_with != mujoco {
         terminal::note(format_args!(
-            "note: the checkpoint was written with MuJoCo {begun_with}, this program runs with {mujoco}: what follows differs \
-             from what that one would have done"
+            "note: the checkpoint was written with MuJoCo {begun_with}, this program runs with {mujoco}: results \
+             differ from those with that version"
         ));
     }
     Ok((folder, checkpoint))

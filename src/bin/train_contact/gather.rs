@@ -36,7 +36,7 @@ const GROUNDS: [Option<(&str, &str)>; 6] = [
     Some(("terrain", "{kind: slope, incline: 0.2}")),
 ];
 
-/// Least forward velocity \[m/s\] where the ground is not a plane: what lies there begins in front of the robot.
+/// Least forward velocity \[m/s\] where the ground is not a plane: obstacles begin in front of the robot.
 const LEAST_FORWARD_M_S: f64 = 0.3;
 
 /// Plays episode `which[0]` of policy `which[1]`: command, slope, friction, encoder bias and push as in training with
@@ -89,7 +89,7 @@ pub fn episode(agent: &Agent, noise: SensorNoise, seed: u64, which: [u64; 2]) ->
         state.felt_force = Some(std::mem::take(&mut felt_force));
         recorder.target = controller.joint_targets(&state, &plan.command);
         if let (true, Some(push)) = (step == push_step, plan.push()) {
-            // As in training: a force for one step, of which the policy learns after it.
+            // As in training: a force for one step, which the policy observes after it.
             felt_force = push.linear.map(|speed| speed * sim.robot().mass_kg / simulation.policy_period_s());
             sim.push(push.linear, push.angular)?;
         }
@@ -117,7 +117,7 @@ impl<R: rand::Rng> StepObserver for SampleRecorder<R> {
         let exact = EncoderReading::exact(&parts.joint_angles(data), parts.joint_rates(data), &self.offsets);
         let reading = self.sensors.encoders(&exact, data.model().timestep_s(), &mut self.rng);
         self.history.push(&reading, &self.target);
-        // Those of the step's beginning: a physics step is too short for a foot to matter.
+        // Velocities at the beginning of the step: within a physics step, they hardly change.
         self.velocities = parts.foot_velocities(data);
     }
 

@@ -24,7 +24,7 @@ use supple::util::terminal;
 /// One in this number of episodes is held out.
 const HELD_OUT: u32 = 5;
 
-/// Train the network that says which feet stand.
+/// Train the network that detects which feet stand.
 ///
 /// Policies walk or stand at random commands, on slopes, among balls and over blocks and mats, with random friction, and are pushed;
 /// the network learns from joint angles, rates and targets with sensor noise which feet touch something and hardly move. Scores are of episodes that it was not trained on.
@@ -67,11 +67,11 @@ fn run(args: &Args) -> anyhow::Result<()> {
             Ok(agent)
         })
         .collect::<anyhow::Result<_>>()?;
-    // Not after minutes of work.
+    // A wrong path fails now, not after minutes of work.
     Target::of(&args.out).with_context(|| format!("--out {}", args.out.display()))?;
     let folder = args.out.parent().filter(|folder| !folder.as_os_str().is_empty());
     if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
-        anyhow::bail!("--out {}: there is no folder {}", args.out.display(), folder.display());
+        anyhow::bail!("--out {}: there is no folder {}; create it", args.out.display(), folder.display());
     }
     let noise = SensorNoise::default();
     let (training, held_out) = gather(args, &names, &found, noise)?;

@@ -1,4 +1,4 @@
-//! The `deploy.yaml` of unitree_rl_lab and unitree_rl_mjlab, which brings a policy onto a Unitree robot.
+//! The `deploy.yaml` of unitree_rl_lab and unitree_rl_mjlab, which deploys a policy on a Unitree robot.
 //!
 //! Gains are in the order of the SDK's motors, all else in the policy's order; `joint_ids_map` has the motor of each of the
 //! policy's joints. Observations are in the order of the file: value, clip, scale (with `scale_first`: value, scale, clip), and of
@@ -24,7 +24,7 @@ const ACTION: &str = "JointPositionAction";
 /// Largest relative error of `step_dt`, which the exporter rounds to three digits.
 const ROUNDING: f64 = 5e-3;
 
-/// A file; what it says of commands and of the names of joints is not needed.
+/// The content of a file, except commands and joint names, which are not needed.
 #[derive(Deserialize)]
 struct Deploy {
     joint_ids_map: Vec<usize>,
@@ -120,7 +120,7 @@ fn meaning(offset: &[f64], nominal_pose: &[f64; JOINTS]) -> Result<Meaning> {
     } else if offset == [0.0; JOINTS] {
         Ok(Meaning::JointAngle)
     } else {
-        Err(value(key, format!("is {offset:?}"), "default_joint_pos or zeros: a description knows no third pose"))
+        Err(value(key, format!("is {offset:?}"), "default_joint_pos or zeros: a description has no other offset"))
     }
 }
 
@@ -241,7 +241,7 @@ fn clip(key: &str, term: &RawTerm, scale_first: bool) -> Result<Option<f64>> {
         _ => Err(value(
             &key,
             format!("is {high} before a scale of {scale:?}"),
-            "one scale for all elements, or no clip: a description limits what is scaled",
+            "one scale for all elements, or no clip: a description limits scaled numbers",
         )),
     }
 }

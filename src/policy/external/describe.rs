@@ -1,8 +1,7 @@
 /*! Descriptions of ONNX files: writes the YAML file that makes an exported network an external policy.
 
-[`translate`] reads the `deploy.yaml` of unitree_rl_lab and unitree_rl_mjlab (`deploy`), or the metadata of an ONNX file as mjlab
-and Isaac Lab projects write them (`metadata`). Its text has a comment `check this` wherever the file says nothing and a default is
-taken.
+[`translate`] reads the `deploy.yaml` of unitree_rl_lab and unitree_rl_mjlab (`deploy`), or the metadata of an ONNX file as mjlab and Isaac
+Lab projects write them (`metadata`). Its text has a comment `check this` wherever the file lacks a value and a default is used.
 */
 
 use std::path::Path;
@@ -31,14 +30,15 @@ pub fn is_described_by_us(text: &str) -> bool {
 /// Returns the YAML description of the ONNX file `onnx` that a policy was exported to.
 pub fn describe(policy: &Policy, onnx: &str) -> String {
     let Provenance { config, config_name, seed, samples, .. } = &policy.provenance;
-    let title =
-        format!("{onnx} {OURS} {samples} samples, config {config_name}, seed {seed}. It scales what it sees itself.");
+    let title = format!(
+        "{onnx} {OURS} {samples} samples, config {config_name}, seed {seed}. It scales its observation itself."
+    );
     let observation = config.observation.iter().map(|observed| {
         let observed = Observed { offset: None, scale: None, clip: None, ..observed.clone() };
         if observed.quantity != Quantity::LastAction {
             return observed;
         }
-        // The network's outputs are joint targets now: what it has put out is what made them.
+        // The exported network outputs joint targets: its last action follows from the last targets.
         let (offset, scale) = (policy.nominal_pose().to_vec(), config.action.scale_rad.recip());
         let (offset, scale) = (Some(Numbers::Each(offset)), Some(Numbers::All(scale)));
         Observed { quantity: Quantity::LastTarget, offset, scale, ..observed }
@@ -49,9 +49,9 @@ pub fn describe(policy: &Policy, onnx: &str) -> String {
 /// Returns the YAML description of the ONNX file `onnx` of a network trained in the environment of `config`: its inputs
 /// are the normalised observations, its outputs the environment's actions.
 pub fn describe_network(config_name: &str, config: &Config, onnx: &str) -> String {
-    let title = format!("{onnx} acts in Supple's training environment, config {config_name}. It sees scaled numbers.");
+    let title = format!("{onnx} acts in Supple's training environment, config {config_name}. Its inputs are scaled.");
     let pose = config.action.nominal_pose_rad.joints();
-    // What a nominal height is, such a file cannot say.
+    // Such a file cannot state the nominal height, so it gets the number.
     let height = Numbers::All(config.reward.base_height_m);
     let observation = config.observation.iter().map(|observed| {
         let is_nominal_height =
@@ -66,8 +66,8 @@ pub fn describe_network(config_name: &str, config: &Config, onnx: &str) -> Strin
 /// or an ONNX file with metadata. The robot is `robot` or, if none is given, the Go2 with a comment.
 ///
 /// # Errors
-/// The file cannot be read, or says something that a description cannot state; the error names the key, what was found and what
-/// was expected.
+/// The file cannot be read, or has a setting that a description cannot state; the error names the key, what was found and what was
+/// expected.
 pub fn translate(source: &Path, onnx: &str, robot: Option<&str>) -> Result<String, FileError> {
     let is_onnx = source.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("onnx"));
     let found = if is_onnx { metadata::read(source) } else { deploy::read(source) };
@@ -81,7 +81,7 @@ pub fn translate(source: &Path, onnx: &str, robot: Option<&str>) -> Result<Strin
     found.notes.push(("physics_rate_hz", "check this: the file has none"));
     found.notes.push(("latency_s", "check this: the file has none; delay of the joint target"));
     let file = source.file_name().unwrap_or_default().display();
-    let title = format!("{onnx} as {file} describes it, by `policy describe`. Check what is marked.");
+    let title = format!("{onnx} as {file} describes it, by `policy describe`. Check the marked lines.");
     let model = robot.unwrap_or(ROBOT).to_owned();
     let robot = &RobotModel { model, friction_loss_n_m: 0.0, damping_n_m_s_per_rad: 0.0 };
     Ok(PolicyDescription { title, onnx, robot, found }.to_string())
@@ -105,7 +105,7 @@ fn text(
         scale_rad: Numbers::All(scale_rad),
         notes: Vec::new(),
     };
-    // The first line says whose it is.
+    // A line end would let a part of the title out of the comment.
     let title = title.replace(char::is_control, " ");
     PolicyDescription { title, onnx, robot, found }.to_string()
 }
@@ -137,7 +137,7 @@ mod tests {
         let inputs = config.layout().unwrap().length();
         let mut rng = stream(3, Purpose::Weights, 0, 0);
         let mut network = ActorCritic::orthogonal(inputs, &[16], JOINTS, -1.0, &mut rng);
-        // Else its outputs are next to nothing.
+        // Otherwise its outputs are nearly zero.
         network.policy.layers.iter_mut().flat_map(|layer| &mut layer.weight).for_each(|weight| *weight *= 3.0);
         let policy = untrained(&network, config);
         let folder = tempfile::tempdir().unwrap();

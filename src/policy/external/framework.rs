@@ -1,4 +1,4 @@
-//! What the files of other frameworks say of a policy, in the terms of a description of ours.
+//! The description of a policy in the files of other frameworks, in terms of Supple's own description.
 
 use crate::config::{PerJoint, Simulation};
 use crate::observation::{Numbers, Observed, Quantity, StepsAgo};
@@ -9,7 +9,7 @@ use crate::util::files::FileError;
 /// Longest history of a term \[policy steps\].
 pub(super) const MAX_HISTORY: u32 = 200;
 
-/// What a description says, beside the network and the robot.
+/// The content of a description, except the network and the robot.
 pub(super) struct Found {
     /// Names of the joints in the policy's order.
     pub(super) joints: Vec<String>,
@@ -75,13 +75,13 @@ pub(super) fn quantity(term: &str, joint_pos: Quantity) -> Result<Quantity> {
         "joint_vel_rel" | "joint_vel" => return Ok(Quantity::JointRates),
         "last_action" | "actions" => return Ok(Quantity::LastAction),
         "height_scan" | "height_scanner" => {
-            "heights of the ground around the robot, which no policy here sees: train without it"
+            "heights of the ground around the robot, which cannot be observed here: train without it"
         }
         "gait_phase" | "phase" => {
             "the gait's period, which this file does not have: write two entries by hand, clock_sin and clock_cos, with its \
              frequency_hz"
         }
-        motion if motion.starts_with("motion_") => "a reference motion, which no policy here sees",
+        motion if motion.starts_with("motion_") => "a reference motion, which cannot be observed here",
         _ => {
             "a quantity that is not known here; known are base_lin_vel, base_ang_vel, projected_gravity, velocity_commands, \
              command, joint_pos_rel, joint_pos, joint_vel_rel, joint_vel, last_action and actions: write the description by \

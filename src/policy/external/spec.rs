@@ -124,8 +124,8 @@ impl Spec {
         })
     }
 
-    /// Checks that the network has as many inputs and outputs as the description states, and that the robot can stand as it
-    /// states. A robot that cannot be read is not asked: the policy can still be inspected, or run on another one.
+    /// Checks that the network has as many inputs and outputs as the description states, and that the nominal pose is within the robot's
+    /// joint ranges. A robot that cannot be read is not checked: the policy can still be inspected, or run on another one.
     pub(super) fn check(&self, network: &OnnxNetwork, folder: &Path) -> Result<(), SpecFault> {
         if let Ok(robot) = load_robot(&self.config.robot, folder) {
             self.check_pose(&robot)?;
@@ -164,8 +164,8 @@ fn load_robot(robot: &RobotModel, folder: &Path) -> Result<Arc<Robot>, FileError
     if Robot::ships(&robot.model) { robot.load() } else { Robot::load(&beside.display().to_string()) }
 }
 
-/// Returns the index in Supple's order of each of the policy's joints, given by Supple's names with or without `_joint`, by
-/// names that are usual elsewhere (`LF_HAA`, `fl_hx`), or as the file of the robot names them.
+/// Returns the index in Supple's order of each of the policy's joints. Their names are Supple's, with or without `_joint`, usual ones of
+/// other projects (`LF_HAA`, `fl_hx`), or those in the robot's file.
 fn joint_order(names: &[String], robot: &RobotModel, folder: &Path) -> Result<[usize; JOINTS], SpecFault> {
     let known = joint_names();
     let place = |name: &String| {
@@ -191,7 +191,7 @@ fn joint_order(names: &[String], robot: &RobotModel, folder: &Path) -> Result<[u
     }
 }
 
-/// Turns the places of our joints among others into the indices of the others.
+/// Returns the inverse of a permutation of the joints.
 fn inverted(places: [usize; JOINTS]) -> [usize; JOINTS] {
     let mut order = [0; JOINTS];
     for (joint, place) in places.into_iter().enumerate() {

@@ -126,7 +126,7 @@ pub(super) fn multiply(a: &Tensor, b_transposed: &Tensor) -> Result<Tensor> {
     if rows.saturating_mul(columns).saturating_mul(inner) > MAX_PRODUCT {
         return Err(format!("its product of {rows} x {inner} and {inner} x {columns} is too large for a policy").into());
     }
-    // Of no values at all, any number of rows and columns is no work.
+    // With an inner length of 0, the product of lengths bounds nothing: the shape is bounded here.
     let count = elements(&[rows, columns])?;
     let (left, right) = (a.floats()?, b_transposed.floats()?);
     let value = |k: usize| dot(&left[k / columns * inner..][..inner], &right[k % columns * inner..][..inner]);

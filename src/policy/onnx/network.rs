@@ -143,7 +143,7 @@ impl OnnxNetwork {
                 format!("it has {} outputs ({}), expected one", graph.output.len(), names(&graph.output)).into()
             );
         };
-        let output_slot = *slots.get(&output.name).ok_or_else(|| format!("nothing computes '{}'", output.name))?;
+        let output_slot = *slots.get(&output.name).ok_or_else(|| format!("no operator computes '{}'", output.name))?;
         let mut network = OnnxNetwork { input: input.name, input_shape, output_slot, outputs: 0, steps, constants };
         network.outputs = network.output(&values)?.len();
         Ok(network)

@@ -157,7 +157,7 @@ impl OperatorCall<'_> {
                 Values::Float(values.iter().map(|value| *value as f32).collect())
             }
             (Values::Float(_), INT32 | INT64) => {
-                return Err("it makes integers of numbers, which a policy's shapes must not depend on".into());
+                return Err("it converts numbers to integers, on which a policy's shapes must not depend".into());
             }
             _ => return Err(format!("it casts to the element type {to}, which is not supported").into()),
         };

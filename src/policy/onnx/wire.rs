@@ -8,7 +8,7 @@ use super::{Result, Unsupported};
 /// Maximum number of fields of all messages together, far more than a policy has.
 const MAX_FIELDS: usize = 100_000;
 
-/// MessageKind types of the schema that contain other messages.
+/// The kinds of the schema's messages that contain other messages.
 #[derive(Clone, Copy)]
 enum MessageKind {
     Model,

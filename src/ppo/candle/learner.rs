@@ -80,7 +80,7 @@ impl Learner for CandleLearner {
 
     fn update(&mut self, batch: &Batch<'_>, permutations: &[Vec<u32>]) -> Result<UpdateStatistics, UpdateFault> {
         check(batch, permutations, &self.state.parameters, &self.settings, &Alone)?;
-        // One thread: the products of single layers are so small that waking others costs more than they bring.
+        // One thread: the products of single layers are so small that waking others costs more than it saves.
         let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build();
         let pool = pool.map_err(|error| UpdateFault::Candle(error.to_string()))?;
         pool.install(|| self.epochs(batch, permutations))

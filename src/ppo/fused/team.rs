@@ -49,7 +49,7 @@ pub struct Team {
     broken: AtomicBool,
 }
 
-/// The number of tasks taken from a thread's part, and the time for which the thread has waited \[ns\], on a cache line of their
+/// The number of tasks taken from a thread's part, and the time for which the thread has waited \[ns\]. They have a cache line of their
 /// own, so that threads do not slow each other down.
 #[derive(Debug, Default)]
 #[repr(align(64))]

@@ -53,7 +53,7 @@ mod tests {
     fn eight_shards_are_summed_as_a_tree() {
         let shards = [1e8, 3.0, 3.0, 3.0, -1e8, 3.0, 5.0, 5.0_f32];
         let mut tree = Tree::default();
-        // Twice: what was waiting the first time does not matter the second time.
+        // Twice: partial sums of the first time must not affect the second.
         for _ in 0..2 {
             let mut gradient = AlignedBuffer::zeros(1);
             for (index, &shard) in shards.iter().enumerate() {

@@ -1,11 +1,11 @@
-//! Angles of a robot's document, in the unit and order of turns that scenes have.
+//! Angles of a robot's document, converted to the unit and order of rotations of scenes.
 
 use super::newer;
 use crate::util::numbers::spaced;
 use crate::util::xml::Element;
 
-/// Writes all angles in radians, and turns of another order than MuJoCo's as quaternions, because the unit and the order of a
-/// file would hold for the whole scene. Returns a line for the report if the file has another order.
+/// Writes all angles in radians, and rotations of another order than MuJoCo's as quaternions, because the unit and the order of a file
+/// would hold for the whole scene. Returns a line for the report if the file has another order.
 pub(super) fn settle_angles(tree: &mut Element) -> Option<String> {
     let setting = |name: &str| tree.all("compiler").filter_map(|compiler| compiler.get(name)).last().map(str::to_owned);
     let degrees = setting("angle").as_deref() != Some("radian");

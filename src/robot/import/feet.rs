@@ -151,7 +151,7 @@ fn lower_end_of_mesh(corners: &[Vector3<f64>]) -> Option<LowerEnd> {
     let lowest: Vec<_> = corners.iter().filter(|corner| corner.z - low.z < LEVEL_M).collect();
     let point = lowest.iter().copied().sum::<Vector3<f64>>() / lowest.len() as f64;
     let point = Vector3::new(point.x, point.y, low.z);
-    // Round is what is as far from the middle in all directions that a foot rolls over.
+    // A mesh is round if it is equally far from the middle in all directions over which a foot rolls.
     let middle = (low + high) / 2.0;
     let radius = ((high.x - low.x).min(high.y - low.y) / 2.0).min(middle.z - low.z);
     let centre = Vector3::new(middle.x, middle.y, low.z + radius);

@@ -1,11 +1,11 @@
-//! Compilation of a robot's document: what MuJoCo says about our text is said about the person's file.
+//! Compilation of a robot's document: messages of MuJoCo about our text become messages about the user's file.
 
 use super::source::{Files, described};
 use crate::mujoco::{self, Model};
 use crate::robot::error::RobotError;
 use crate::util::xml::Element;
 
-/// Compiles a document. MuJoCo's messages about its lines become messages about the lines of the person's file.
+/// Compiles a document. MuJoCo's messages about its lines become messages about the lines of the user's file.
 pub(super) fn load(document: &Element, files: &Files) -> Result<Model, RobotError> {
     let mut text = String::new();
     document.write(&mut text);

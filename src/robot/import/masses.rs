@@ -1,4 +1,4 @@
-//! The parts whose mass or inertia MuJoCo changes, as the settings of a file's compiler ask for.
+//! The parts whose mass or inertia MuJoCo changes, because of the compiler settings of a file.
 
 use nalgebra::Matrix3;
 
@@ -59,7 +59,7 @@ pub(super) fn changed_links(model: &Model, robot: &Element) -> Vec<String> {
 /// MuJoCo does not compile it without them.
 pub(super) fn changed_bodies(model: &Model, trunk: usize, tree: &Element, files: &Files) -> Option<Vec<String>> {
     let mut plain = tree.clone();
-    // Without joints, a body may weigh nothing.
+    // Without joints, a body may have no mass.
     plain.children.retain(|child| !matches!(child.name.as_str(), "actuator" | "keyframe" | "custom"));
     for section in &mut plain.children {
         match section.name.as_str() {
@@ -77,7 +77,7 @@ pub(super) fn changed_bodies(model: &Model, trunk: usize, tree: &Element, files:
         list(world, &mut inertials);
     }
     let changed = (1..model.count(Object::Body).min(plain.count(Object::Body))).filter(|body| {
-        // Moments that no body has are made equal in both.
+        // Impossible moments are made equal in both.
         let stated = inertials.get(body - 1).copied().flatten().and_then(stated);
         let is_balanced = stated.is_none_or(|[_, a, b, c]| a + b >= c * (1.0 - SAME));
         let is_changed = !is_balanced || differ(&found(&plain, *body), &found(model, *body));

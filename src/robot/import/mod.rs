@@ -2,11 +2,11 @@
 `newer` and `words` (what newer MuJoCos write), `urdf`, `weld`, `names` (joints), `feet`, `normalise` (the changes) and `sandbox` (the
 child process), in this order.
 
-A file such as the widely used Go1 brings its own servos, damping, contact softness, solver options and floor. Here the
-only controller is the PD law with its torque limits, the only damping is K_d, and the ground's friction is the
-scenario's; otherwise numbers of two robots could not be compared. So the file is compiled once to see what
-MuJoCo reads from it, and written again with our names for trunk, joints and feet, motors instead of servos, and
-without the parts that contradict that. Masses, inertias, shapes, joint limits and armature stay as they are.
+A file such as the widely used Go1 brings its own servos, damping, contact softness, solver options and floor. Here the only controller is
+the PD law with its torque limits, the only damping is K_d, and the ground's friction is the scenario's; otherwise numbers of two robots
+could not be compared. So the file is compiled once to see what MuJoCo reads from it. It is then written again with our names for trunk,
+joints and feet, with motors instead of servos, and without the parts that contradict these rules. Masses, inertias, shapes, joint limits
+and armature stay as they are.
 */
 
 mod angles;

@@ -149,7 +149,7 @@ const KNEE: &[&str] = &["calf", "kfe", "knee", "knee_fe", "knee_pitch", "shank",
 fn usual(names: &[&str], index: usize) -> Option<usize> {
     let (leg, part) = (index / PARTS.len(), index % PARTS.len());
     let word = |name: &&str| leg_and_part(name).filter(|(of, _)| *of == leg).map(|(_, word)| word);
-    // What is called a hip swings sideways, unless another joint of the leg does.
+    // A joint named hip swings sideways, unless another joint of the leg does.
     let has_abduction = names.iter().filter_map(word).any(|word| SIDEWAYS.contains(&word.as_str()));
     names.iter().position(|name| {
         word(name).is_some_and(|word| match part {

@@ -1,8 +1,8 @@
-/*! MJCF of newer MuJoCos in the words of 2.2.2.
+/*! Translates MJCF of newer MuJoCos to that of 2.2.2.
 
-Today's MuJoCo writes words that 2.2.2 refuses. What the import drops anyway is dropped before MuJoCo sees it (cameras, sensors,
-servos' gains, …); what matters is translated: a joint's `actuatorfrcrange` is a limit of its torque, a `<frame>` the pose of
-what it holds. What cannot be translated is refused by name, line and version.
+Newer MuJoCos write elements and attributes that 2.2.2 refuses. Those that the import drops anyway (cameras, sensors, servos' gains, …) are
+dropped before MuJoCo reads them. Those that matter are translated: a joint's `actuatorfrcrange` is a limit of its torque, a `<frame>` the
+pose of its children. What cannot be translated is refused by name, line and version.
 
 Limits are as MuJoCo 3 has them whatever the file's version: a range limits unless the file says `limited="false"`, or
 `autolimits="false"` in its `<compiler>`.
@@ -27,7 +27,7 @@ const SECTIONS: [&str; 7] = ["compiler", "default", "asset", "worldbody", "actua
 /// Sections that no such quadruped has, unless they are empty.
 const REFUSED: [&str; 3] = ["equality", "tendon", "deformable"];
 
-/// A robot in the words of MuJoCo 2.2.2.
+/// A robot as MJCF of MuJoCo 2.2.2.
 #[derive(Debug, Default)]
 pub(super) struct Translated {
     /// The whole document.
@@ -40,7 +40,7 @@ pub(super) struct Translated {
     pub(super) unread: Vec<String>,
 }
 
-/// Default classes: what an element of a class has unless it says otherwise.
+/// Default classes: the settings of elements that do not set them.
 #[derive(Debug, Default)]
 struct Classes<'a> {
     /// Name of the class that holds everything.
@@ -73,7 +73,7 @@ impl<'a> Classes<'a> {
         }
     }
 
-    /// Returns what elements of a kind have in a class or the classes above it.
+    /// Returns the value of an attribute for elements of a kind in a class, or in the classes above it.
     fn get(&self, kind: &str, class: &str, attribute: &str) -> Option<&'a str> {
         let mut next = Some(class);
         // A class that is its own ancestor cannot be written, but a name can be used twice.
@@ -124,7 +124,7 @@ struct Translator<'a> {
     angles: Angles,
     autolimits: bool,
     translated: Translated,
-    /// Words that were left out.
+    /// Names of elements and attributes that were left out.
     left_out: Vec<String>,
 }
 
@@ -156,9 +156,10 @@ pub(super) fn translate(tree: &Element, files: &Files) -> Result<Translated, Rob
     if !translator.left_out.is_empty() {
         translator.left_out.sort();
         translator.left_out.dedup();
-        translated
-            .notes
-            .push(format!("newer words that nothing here reads, left out: {}", translator.left_out.join(", ")));
+        translated.notes.push(format!(
+            "elements and attributes of newer MuJoCos, left out without effect: {}",
+            translator.left_out.join(", ")
+        ));
     }
     translated.tree = root;
     Ok(translated)
@@ -323,7 +324,7 @@ impl Translator<'_> {
                     let own = self.part(child, class, frame)?;
                     out.push(own);
                 }
-                // Ground and toys of the file's own scene.
+                // Ground and objects of the file's own scene.
                 "composite" | "flexcomp" | "replicate" | "attach" | "plugin" if in_world && frame.is_none() => {
                     if matches!(child.name.as_str(), "replicate" | "attach") {
                         return Err(self.newer(child, &child.name, SAVE_AGAIN));
@@ -509,7 +510,7 @@ impl Translator<'_> {
                 Verdict::Known => {
                     // Springs and dampers of newer MuJoCos are polynomials, of which the first term is the old one.
                     let first = matches!(name.as_str(), "stiffness" | "damping");
-                    // Whatever law moves a servo, its force is not that of its control.
+                    // A servo of any law: its force is not that of its control.
                     let law = matches!(name.as_str(), "gaintype" | "biastype") && !is_known_law(value);
                     let value = if law { "affine" } else { value };
                     let value = if first { value.split_whitespace().next().unwrap_or("0") } else { value };

@@ -151,7 +151,7 @@ fn find_assets(tree: &mut Element, folder: &Path) -> Result<Vec<PathBuf>, RobotE
                 child.set("discardvisual", "false");
                 // Bodies that do not move would be merged, and their numbers shift.
                 child.remove("fusestatic");
-                // A range is meant to limit; that goes without saying since MuJoCo 3.
+                // A range limits, as is the default since MuJoCo 3.
                 if child.get("autolimits").is_none() {
                     child.set("autolimits", "true");
                 }
@@ -282,7 +282,7 @@ impl<'a> Survey<'a> {
         let contacts = self.geoms.get(own).map_or(&[][..], Vec::as_slice);
         let mut contacts = contacts.iter();
         *id += 1;
-        // Its own names are those of a scene's bodies; none of them has a stroke.
+        // Names with a slash cannot be those of a scene's bodies.
         let of_leg = self.joints.iter().position(|joint| self.model.joint_body(*joint) == own);
         match (own == self.trunk, of_leg, body.get("name").map(str::to_owned)) {
             (true, ..) => body.set("name", "trunk"),
@@ -502,7 +502,7 @@ impl<'a> Survey<'a> {
             format!("{kinds}, which collide as such; heights are those of their lowest points in the nominal pose")
         };
         lines.push(format!(
-            "feet: {what}; condim {}, priority {}, friction {}, solimp {} give way to the ground's friction and \
+            "feet: {what}; condim {}, priority {}, friction {}, solimp {} replaced by the ground's friction and \
              MuJoCo's default softness",
             foot.condim,
             foot.priority,
@@ -511,7 +511,7 @@ impl<'a> Survey<'a> {
         ));
         lines.push("contact: parts of the robot do not collide with one another; margins and gaps set to 0".into());
         lines.push(
-            "falls: trunk, hips and thighs on the ground are one, shanks, which may reach down to the feet, are none"
+            "falls: trunk, hips or thighs on the ground count as a fall; shanks, which may reach down to the feet, do not"
                 .into(),
         );
         lines
@@ -535,7 +535,7 @@ fn left_out(tree: &Element, survey: &Survey<'_>) -> Vec<String> {
         let settings: Vec<String> = own.chain(flags.map(|(name, value)| format!("flag {name} {value}"))).collect();
         if !settings.is_empty() {
             lines
-                .push(format!("options: {} give way to ours (Euler, pyramidal cone, impratio 1)", settings.join(", ")));
+                .push(format!("options: {} replaced by ours (Euler, pyramidal cone, impratio 1)", settings.join(", ")));
         }
     }
     let world: Vec<String> = tree

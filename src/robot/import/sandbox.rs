@@ -54,7 +54,7 @@ pub fn isolate_imports() {
     }
     let path = PathBuf::from(arguments.next().unwrap_or_default());
     let answer = bound_this_process().and_then(|()| try_out(&path)).map_err(|error| error.to_string());
-    // An answer that cannot be given is a failure like others: the parent sees that there is none.
+    // If the answer cannot be written, the parent finds none, as after other failures.
     let mut out = std::io::stdout().lock();
     let told = serde_json::to_writer(&mut out, &answer).is_ok() && out.flush().is_ok();
     std::process::exit(if told { 0 } else { 1 });
@@ -100,7 +100,7 @@ fn end(status: ExitStatus) -> String {
     match status.signal() {
         Some(SIGXCPU | SIGKILL) => format!("MuJoCo takes more than {TIME_S} s to read it and step it"),
         Some(signal) => format!(
-            "MuJoCo broke down on it (signal {signal}): it is malformed, or takes more than {gibibytes} GiB of memory"
+            "MuJoCo crashed while reading it (signal {signal}): it is malformed, or takes more than {gibibytes} GiB of memory"
         ),
         None => "the process that read it ended without an answer".into(),
     }
@@ -129,7 +129,7 @@ fn try_out(path: &Path) -> Result<Imported, RobotError> {
     let imported = normalise::adapt(&source::Source::read(path)?)?;
     let mut data = Data::new(Model::from_xml(&[("robot.xml", &imported.mjcf)])?)?;
     for _ in 0..STEPS {
-        // Faults are those of a robot in the air, not of its file.
+        // A physics fault would be that of a robot in the air, not of its file.
         let _ = data.step();
     }
     Ok(imported)

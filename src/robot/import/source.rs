@@ -26,7 +26,7 @@ const MAX_FILES: usize = 64;
 pub(in crate::robot) struct Files(Vec<String>);
 
 impl Files {
-    /// Returns the place of an element for a message: its line, and its file unless that is the one the person gave.
+    /// Returns the place of an element for a message: its line, and its file unless that is the main file.
     pub(super) fn at(&self, element: &Element) -> String {
         let place = element.place;
         let file = self.0.get(place.file as usize).filter(|name| !name.is_empty());
@@ -147,7 +147,7 @@ impl Reader<'_> {
         let mut root = xml::parse(&String::from_utf8_lossy(&bytes)).map_err(|error| fail(error.into()))?;
         number_elements(&mut root, u32::try_from(number).unwrap_or(u32::MAX));
         if root.name == "robot" {
-            // What a URDF includes, it includes by xacro.
+            // A URDF includes other files by xacro only.
             root.visit(&mut |_| self.elements += 1);
         } else {
             self.include(&mut root)?;

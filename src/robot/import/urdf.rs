@@ -1,10 +1,9 @@
 /*! URDF, as MuJoCo itself reads it.
 
-MuJoCo compiles URDF: links, joints, limits, inertias and the primitives of collisions. The compiled model is then written as MJCF,
-with all digits. What it does not take over is read here: `<limit effort>` is the limit of a joint's torque. Meshes are left out,
-whatever their `package://` paths are: the masses of a URDF stand in its links. Only where a leg ends in no sphere, its foot may be
-a mesh, which is looked for beside the file and in the folders above. The trunk, which MuJoCo would fix to the world, gets a free
-joint.
+MuJoCo compiles URDF: links, joints, limits, inertias and the primitives of collisions. The compiled model is then written as MJCF, with all
+digits. What it does not take over is read here: `<limit effort>` is the limit of a joint's torque. Meshes are left out, whatever their
+`package://` paths are: the links of a URDF state the masses. Only where a leg ends in no sphere, its foot may be a mesh, which is looked
+for beside the file and in the folders above. The trunk, which MuJoCo would fix to the world, gets a free joint.
 */
 
 use std::path::{Path, PathBuf};
@@ -43,7 +42,7 @@ pub(super) fn translate(
     }
     free_the_trunk(&mut robot)?;
     let mut compiler = Element::new("compiler").with("fusestatic", "false").with("discardvisual", "false");
-    // What a URDF may tell MuJoCo about its masses.
+    // Compiler settings in a URDF that concern its masses.
     for own in tree.all("mujoco").flat_map(|own| own.all("compiler")) {
         for name in ["balanceinertia", "boundmass", "boundinertia"] {
             if let Some(value) = own.get(name) {
@@ -57,7 +56,7 @@ pub(super) fn translate(
         if !error.to_string().contains("balanceinertia") {
             return Err(error);
         }
-        // Rounded, or made up for a sensor: no body has such moments of inertia.
+        // Moments of inertia that are rounded, or invented for a sensor, may be impossible.
         robot.children[0].children[0].set("balanceinertia", "true");
         load(&robot, files)
     })?;
@@ -66,7 +65,7 @@ pub(super) fn translate(
         let settings = robot.children[0].children[0].attributes.iter().map(|(name, _)| name.as_str());
         let settings: Vec<_> = settings.filter(|name| name.starts_with("bal") || name.starts_with("bound")).collect();
         let why = match settings[..] {
-            ["balanceinertia"] => "no body has it (A + B < C); its three moments made equal".to_owned(),
+            ["balanceinertia"] => "physically impossible (A + B < C); its three moments made equal".to_owned(),
             _ => format!("changed by {}", settings.join(", ")),
         };
         notes.push(format!("inertia of {}: {why}", changed.join(", ")));
@@ -74,7 +73,7 @@ pub(super) fn translate(
     let feet = FootMeshes::read(&model, tree, folder, files);
     let left_out = meshes.saturating_sub(feet.shapes.len());
     if left_out > 0 {
-        notes.push(format!("meshes: {left_out} left out, for looks and collisions; masses stand in the links"));
+        notes.push(format!("meshes: {left_out} left out (looks and collisions); the links state the masses"));
     }
     if !feet.assets.is_empty() {
         let names = feet.assets.iter().filter_map(|asset| Path::new(asset.get("file")?).file_name());
@@ -216,7 +215,7 @@ fn free_the_trunk(robot: &mut Element) -> Result<(), RobotError> {
     let roots: Vec<&String> = links.iter().filter(|name| !is_moving(name, robot)).collect();
     let [root] = roots[..] else { return Err(RobotError::Links(roots.len())) };
     let mut root = root.clone();
-    // A first link without a mass, such as ROS wants it, is joined to the trunk.
+    // A first link without a mass, as ROS requires it, is joined to the trunk.
     loop {
         let has_mass =
             robot.all("link").any(|link| link.get("name") == Some(&root) && link.all("inertial").next().is_some());

@@ -1,4 +1,4 @@
-//! The words of MJCF: those of MuJoCo 2.2.2 that are passed to it, and those of newer ones that are left out.
+//! The elements and attributes of MJCF: those that are passed to MuJoCo 2.2.2, and those of newer MuJoCos that are left out.
 
 /// Sections that are left out.
 pub(super) const LEFT_OUT_SECTIONS: [&str; 7] =
@@ -7,7 +7,7 @@ pub(super) const LEFT_OUT_SECTIONS: [&str; 7] =
 /// Attributes by element, known to MuJoCo 2.2.2 or left out. In `<default>`, elements have the same.
 const ATTRIBUTES: &str = include_str!("words.txt");
 
-/// Attributes that are left out although they act on a robot: something else holds, or nothing does, and the report says so.
+/// Attributes that are left out although they act on a robot; the report names them.
 const ACTING: [&str; 3] = ["gravcomp", "surfacevel", "adhesion"];
 
 /// Kinds of actuators that are passed to MuJoCo 2.2.2.

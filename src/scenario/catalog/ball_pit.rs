@@ -46,8 +46,8 @@ impl Parameters for BallPit {
             let (row, column) = (ball / side, ball % side);
             let x = self.distance_m + (f64::from(row) + 0.5) * pitch;
             let y = (f64::from(column) - 0.5 * (f64::from(side) - 1.0)) * pitch;
-            // A little damping stands for what keeps a real ball from rolling for ever: it halves a ball's speed in
-            // about a second, and is far too small to be felt by a foot.
+            // A little damping stands for what keeps a real ball from rolling for ever: it halves a ball's speed in about a second, and is
+            // far too small to affect a foot.
             let _ = writeln!(
                 balls,
                 r#"    <body name="ball_{ball}" pos="{x:.4} {y:.4} {radius}"><joint name="ball_{ball}" type="free" damping="0.001"/><geom name="ball_{ball}" type="sphere" size="{radius}" mass="{mass}" priority="1" friction="0.6 0.005 0.0001" rgba="{rgba}"/></body>"#,

@@ -189,8 +189,8 @@ pub(super) fn with_parameters<T: DeserializeOwned>(scenario: &str, parameters: &
         return Err(YamlError::new(scenario, format!("it has no parameter '{unknown}'; it has: {}", known.join(", "))));
     }
     layered(&texts).map_err(|error| {
-        // Those that all scenarios have are flattened, and then serde does not know their names: the one that does not fit
-        // alone is to blame.
+        // serde does not name the parameters that all scenarios have, as they are flattened. So each is tried alone to find the invalid
+        // one.
         let fits = |name: &str| {
             let alone = texts[1].parse().map(|given| to_text(&BTreeMap::from([(name, &given[name])])));
             alone.is_ok_and(|alone| layered::<T>(&[texts[0].clone(), Text::new(scenario, &alone)]).is_ok())
@@ -255,7 +255,7 @@ pub struct Task {
     #[arg(long)]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub compliance: Option<f64>,
-    /// Mass added to the trunk, which the robot does not know of; negative: taken away (kg)
+    /// Mass added to the trunk but not to the robot's description; negative: taken away (kg)
     #[arg(long)]
     #[serde(default, skip_serializing_if = "is_zero")]
     pub extra_mass_kg: f64,
@@ -394,7 +394,7 @@ fn towards(direction_deg: f64) -> [f64; 2] {
 
 /// Refuses a commanded yaw rate, because loads on ropes are aimed along a straight walk.
 fn no_turn(task: &Task) -> Result<(), ParameterError> {
-    in_range("yaw-rad-s", task.yaw_rad_s, 0.0, 0.0, "0: the load is aimed at where a straight walk leads")
+    in_range("yaw-rad-s", task.yaw_rad_s, 0.0, 0.0, "0: the load is aimed along a straight walk")
 }
 
 /// Checks that a parameter is within its range.

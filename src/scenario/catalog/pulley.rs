@@ -113,7 +113,7 @@ impl Parameters for Pulley {
     fn metrics(&self, script: &Script, trace: &Trace, found: &mut Vec<Metric>) {
         let end_s = (self.at_s + self.for_s).min(script.duration_s);
         let from_s = self.at_s + SETTLED_S;
-        // The rope's jerk when the weight is let go is the same for everyone.
+        // The jerk of the rope at the release does not depend on the policy.
         let settled = || metrics::window(trace, from_s, end_s);
         let direction = self.direction();
         let moved = metrics::displacement_off_course(trace, direction, self.at_s, end_s);

@@ -42,7 +42,7 @@ impl Parameters for PushTrunk {
         // A push may come at any phase of the gait.
         let phase_s = PHASE_S * stream(seed, Purpose::Scenario, 0, 0).random_range(0.0..1.0);
         push.at_s = self.at_s + phase_s;
-        // The first one also if it would come too late: the script can then say so.
+        // The first push is added even if it would come too late, for `Script::too_late`.
         script.disturbances.push(Disturbance::Push(push));
         while self.every_s > 0.0 && push.at_s + self.every_s < script.duration_s {
             push.at_s += self.every_s;
@@ -62,7 +62,7 @@ impl Parameters for PushTrunk {
         let pushed_s = trace.disturbed(if self.for_s > 0.0 { "pull:" } else { "push" });
         let decay = |threshold| metrics::decay(trace, at_s, first.linear, threshold, STRIDE_S);
         let [to_10, to_20] = [0.1, 0.2].map(|threshold| decay(threshold).filter(|_| pushed_s.is_some()));
-        // Of a whole second or not at all: means over different times are no comparison.
+        // Over a whole second or not at all: means over different times cannot be compared.
         let second = |from_s: f64| metrics::whole_window(trace, from_s, from_s + 1.0).filter(|_| pushed_s.is_some());
         let power = |from_s: f64| metrics::mean(second(from_s)?, |frame| frame.power_w);
         let torque = |from_s: f64| metrics::mean(second(from_s)?, |frame| frame.torque_n_m);

@@ -23,11 +23,10 @@ const WOOD: &str = r#"density="650" priority="1" friction="0.5 0.005 0.0001""#;
 /// Edge of a mat \[m\].
 const MAT_EDGE_M: f64 = 0.7;
 
-/// Material of the mats. Density of the composite foam of gymnastics mats, 1.5 kg each [kg/m³]. Softness: under a Go1 that stands
-/// still, whose front feet carry some 21 N each and whose rear feet 42 N, they give by 9 and 13 mm (the floor by 1 mm),
-/// about as much as a gymnastics mat of foam under a small hard ball that is pressed with as much. The impedance grows
-/// over 2 cm as foam hardens; a damping ratio of 1 keeps the mat from throwing the foot back. Found by trying: MuJoCo's
-/// softness depends on the masses that meet.
+/// Material of the mats. Density of the composite foam of gymnastics mats, 1.5 kg each [kg/m³]. Softness: a standing Go1 carries some 21 N
+/// on each front foot and 42 N on each rear foot, and they sink in by 9 and 13 mm (into the floor by 1 mm). A small hard ball sinks about
+/// as far into a gymnastics mat of foam under the same forces. The impedance grows over 2 cm as foam hardens; a damping ratio of 1 keeps
+/// the mat from throwing the foot back. Found by trying: MuJoCo's softness depends on the masses that meet.
 const FOAM: &str = r#"density="100" priority="2" friction="0.8 0.005 0.0001" solref="0.03 1" solimp="0.8 0.95 0.02" rgba="0.16 0.42 0.60 1""#;
 
 /// Gap between neighbours, so that none are in contact at the start \[m\].

@@ -80,8 +80,8 @@ impl LiveSession {
         LiveSession { since, ..self }
     }
 
-    /// Goes on with the robots of another session, which has not been stepped: the same as an [`Input::Setup`], but the
-    /// robots and their scene were built before, maybe on another thread.
+    /// Continues with the robots of another session, which has not been stepped: the same as an [`Input::Setup`], but the robots and their
+    /// scene were built before, maybe on another thread.
     pub fn replace(&mut self, next: LiveSession) {
         *self = next.starting_at(self.tick());
     }

@@ -60,13 +60,13 @@ pub enum SessionError {
     #[error(transparent)]
     Physics(#[from] mujoco::Error),
     /// The newer policy needs other rates, gains or latency.
-    #[error("the newer policy runs at other rates, gains or latency: it needs a world of its own")]
+    #[error("the newer policy has other rates, gains or latency: build a new scene for it")]
     OtherBody,
     /// An input has a number that no file can hold.
     #[error("a number of the input is not finite")]
     NotFinite,
     /// The setup has too few or too many robots, or an input names one that does not exist.
-    #[error("{found} of robots, expected {expected}")]
+    #[error("robots: found {found}, expected {expected}")]
     Robots {
         /// Description of the number that was found.
         found: String,
@@ -133,7 +133,7 @@ impl PushUnit {
     }
 }
 
-/// What a person does to the robots, all of them unless it names one. The pages of `drive` send the same.
+/// An action on all robots, or on one that it names. The pages of `drive` send the same.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Act {

@@ -74,7 +74,7 @@ pub struct Reading {
     pub push: Option<PushReading>,
     /// The present pull and its effect.
     pub pull: Option<PullReading>,
-    /// Force on the trunk that the robot feels, forward and left in the heading frame \[N\]; `None` where it cannot be trusted.
+    /// Felt force on the trunk, forward and left in the heading frame \[N\]; `None` where it cannot be trusted.
     pub felt_n: Option<[f64; 2]>,
 }
 

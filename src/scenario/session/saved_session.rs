@@ -240,7 +240,7 @@ impl SavedSession {
         match line {
             Line::Session { format, program, from_tick } if number == 1 => {
                 if format != FORMAT {
-                    return Err(format!("it has format {format}, this program knows {FORMAT}"));
+                    return Err(format!("it has format {format}, this program reads {FORMAT}"));
                 }
                 (self.program, self.from_tick) = (program, from_tick);
             }

@@ -130,7 +130,7 @@ fn inputs_of_one_tick_are_measured_as_they_leave_the_world() {
     let alone = |shelf: &mut AgentCache| vec![shelf.find("baseline", None).unwrap()];
     let alone = Setup { scene: SceneKind::Flat, seed: 0, robots: alone(&mut shelf) };
     let push = Input::Act(Act::Push { size: [0.0, 0.3], unit: PushUnit::Velocity });
-    // What is done to a robot at the very moment in which it goes, and a push within the time that another is looked at.
+    // Inputs in the tick in which a robot is removed, and a push while another one is being measured.
     let inputs = [
         (240, Input::Act(Act::Comply { robot: 1, compliance: Some(0.03) })),
         (240, push.clone()),
@@ -240,7 +240,7 @@ fn robots_of_one_world_do_not_touch_each_other() {
 fn a_world_needs_one_robot_or_two_and_an_input_that_fits() {
     let mut shelf = AgentCache::default();
     let three = setup(&[UPRIGHT, UPRIGHT, UPRIGHT], SceneKind::Flat, &mut shelf);
-    assert!(LiveSession::new(three, &mut shelf).unwrap_err().to_string().contains("3 of robots"));
+    assert!(LiveSession::new(three, &mut shelf).unwrap_err().to_string().contains("robots: found 3"));
     let mut world = LiveSession::new(setup(&[UPRIGHT], SceneKind::Flat, &mut shelf), &mut shelf).unwrap();
     let before = world.fingerprint();
     let renewed = Input::Renew { robot: 1, sha256: "0".into() };
@@ -318,7 +318,7 @@ fn what_is_no_session_is_refused_line_by_line() {
         (format!("{head}\n{walk}\n"), "does not begin with a set-up"),
         (format!("{head}\n{head}\n"), "line 2: a second session begins"),
         (format!("{head}\n{{\"input\":{{\"tick\":-1,\"input\":\"reset\"}}}}\n"), "line 2: it is no session"),
-        (head.replace("\"format\":1", "\"format\":2") + "\n", "line 1: it has format 2, this program knows 1"),
+        (head.replace("\"format\":1", "\"format\":2") + "\n", "line 1: it has format 2, this program reads 1"),
         (
             format!("{head}\n{{\"policy\":{{\"name\":\"p\",\"sha256\":\"0\",\"file\":\"00\"}}}}\n"),
             "line 2: the policy 'p' is damaged",

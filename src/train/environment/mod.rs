@@ -267,7 +267,7 @@ impl LocomotionEnv {
         }
     }
 
-    /// Returns what only the simulator knows before the coming policy step.
+    /// Returns the privileged values before the coming policy step.
     fn privileged(&self, foot_forces: [Vector3<f64>; 4]) -> Privileged {
         let (plan, state) = (&self.progress.plan, self.world.state());
         let base_from_world = state.world_from_base.inverse();
@@ -455,7 +455,7 @@ impl LocomotionEnv {
     /// Restores a saved state.
     ///
     /// # Errors
-    /// The state belongs to another model or observation, no episode could have come to it, or MuJoCo fails in it.
+    /// The state belongs to another model or observation or is impossible, or MuJoCo fails in it.
     pub fn restore(&mut self, state: &EnvState) -> mujoco::Result<()> {
         self.check(&state.progress)?;
         if let Some(dynamics) = &state.progress.plan.dynamics {
@@ -472,7 +472,7 @@ impl LocomotionEnv {
         }
     }
 
-    /// Refuses saved numbers that would take all memory or lie beyond an array.
+    /// Refuses saved numbers that would take all memory or index beyond an array.
     fn check(&self, progress: &EpisodeState) -> mujoco::Result<()> {
         let plan = &progress.plan;
         if let Some(latency_s) = plan.dynamics.map(|dynamics| dynamics.latency_s)

@@ -1,4 +1,4 @@
-//! What a step and a finished episode of the training environment report.
+//! The reports of a step and of a finished episode of the training environment.
 
 use serde::{Deserialize, Serialize};
 

@@ -33,7 +33,7 @@ impl Hold {
     }
 }
 
-/// Where a foot is held.
+/// The memory of a hold.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub(in crate::world) struct Memory {
     /// True in policy steps within the hold's interval.
@@ -45,7 +45,7 @@ pub(in crate::world) struct Memory {
 }
 
 impl Memory {
-    /// Looks whether the foot may be held in the policy step that begins at `at`.
+    /// Checks whether the foot may be held in the policy step that begins at `at`.
     pub(super) fn before_step(&mut self, hold: &Hold, at: StepTime) {
         (self.acted, self.acts) = (self.acts, at.is_within(hold.from_s, hold.until_s));
     }

@@ -1,8 +1,8 @@
 /*! Disturbances: pushes, pulls, leashes, walls, loads on ropes and held feet, as values with a course in time.
 
-A [`Disturbance`] is plain data: the plan of an episode and the script of a scenario list them, and a person who drives
-adds pushes and pulls. The [`World`](super::World) makes them act. Each kind has its own file, which says when it acts, which
-force it exerts in a given state, which [`Event`]s it causes and how it is drawn.
+A [`Disturbance`] is plain data: the plan of an episode and the script of a scenario list them, and `drive` adds pushes and pulls. The
+[`World`](super::World) applies them. Each kind has its own file, which says when it acts, which force it exerts in a given state, which
+[`Event`]s it causes and how it is drawn.
 */
 
 mod hold;
@@ -24,7 +24,7 @@ use crate::mujoco::{Data, Result};
 use crate::observation::Command;
 use crate::sim::Sim;
 
-/// Something that disturbs the robot.
+/// A disturbance of the robot.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Disturbance {
@@ -41,7 +41,7 @@ pub enum Disturbance {
 }
 
 impl Disturbance {
-    /// Returns what begins, for sentences, and the time at which it does \[s\].
+    /// Returns the name of its beginning, for texts, and the time of it \[s\].
     pub fn beginning(&self) -> (&'static str, f64) {
         match self {
             Disturbance::Push(push) => ("push", push.at_s),
@@ -109,7 +109,7 @@ impl Event {
     }
 }
 
-/// How a disturbance is drawn.
+/// The drawn mark of a disturbance.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum DisturbanceMark {
@@ -141,7 +141,7 @@ pub(super) struct Effects {
     pub(super) pushed: Option<Vector3<f64>>,
 }
 
-/// A disturbance at work: the value, and what it remembers from step to step.
+/// A disturbance in a world: its value, and its memory from step to step.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum Acting {

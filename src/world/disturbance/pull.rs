@@ -106,7 +106,7 @@ impl Pull {
 pub(in crate::world) struct Memory(Option<[f64; 3]>);
 
 impl Memory {
-    /// Looks whether the pull acts in the policy step that begins at `at`.
+    /// Checks whether the pull acts in the policy step that begins at `at`.
     pub(super) fn before_step(&mut self, pull: &Pull, at: StepTime, sim: &Sim, events: &mut Vec<Event>) {
         let before = std::mem::replace(&mut self.0, pull.in_step(at, sim).map(Into::into));
         let text = match (before, self.0) {

@@ -236,7 +236,7 @@ impl Memory {
             self.place(rig, command, sim)?;
             if at.has_come(rig.release_s) {
                 self.phase = Phase::Free;
-                // The load already moves as a robot that walks draws the rope: a stiff rope would jerk one at rest.
+                // The load starts at the speed at which a walking robot draws the rope: a stiff rope would jerk a load at rest.
                 let rising_m_s = sim.data().tendon_velocities()[self.tendon];
                 sim.data_mut().velocities_mut()[self.load_velocity + 2] = rising_m_s;
                 let length_m = sim.data().tendon_lengths()[self.tendon] + rig.slack_m;
@@ -280,7 +280,7 @@ impl Memory {
             let text = format!("the {} is on the ground", rig.load.name);
             events.push(Event::disturbance(time_s, text));
         }
-        // A rope that was taken off lies somewhere; only its load is still there.
+        // A rope that was taken off is not drawn; its load is.
         let sites = if self.phase == Phase::Off { &[] } else { self.sites.as_slice() };
         let forces = std::mem::take(&mut self.forces);
         let point = |site: &usize| std::array::from_fn(|k| data.site_positions()[3 * site + k] as f32);

@@ -71,7 +71,7 @@ pub struct SpringState {
 }
 
 impl Spring {
-    /// Returns how a force of this size is drawn \[N\].
+    /// Returns the drawn mark of a force of this size \[N\].
     pub(in crate::world) fn mark(&self, force_n: f64) -> Option<DisturbanceMark> {
         let force = [force_n * self.direction[0], force_n * self.direction[1], 0.0];
         (force_n > 0.0).then_some(match self.end {

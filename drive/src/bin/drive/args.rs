@@ -17,13 +17,13 @@ const SESSION: &str = "Sessions";
 #[derive(Parser, Debug)]
 #[command(name = env!("CARGO_BIN_NAME"), version = supple::provenance::version())]
 pub struct Args {
-    /// Policy file, run folder, YAML file of an external policy, or name of a shipped policy [default: real,
-    /// told to yield to a hand by 0.03 m/s/N]
+    /// Policy file, run folder, YAML file of an external policy, or name of a shipped policy [default: real, with a commanded compliance of
+    /// 0.03 m/s/N]
     ///
     /// The policy of a running training run is reloaded whenever the run saves a newer one.
     #[arg(long, help_heading = ROBOTS, value_name = "FILE|NAME[@C]")]
     pub policy: Option<String>,
-    /// Policy of the second robot, `none` for one robot alone [default: real, which resists, if --policy is not given]
+    /// Policy of the second robot, `none` for one robot alone [default: real without a commanded compliance, if --policy is not given]
     #[arg(long, help_heading = ROBOTS, value_name = "FILE|NAME[@C]")]
     pub compare: Option<String>,
     /// Robot: an MJCF file, or a YAML file that names one and its joints [default: the policy's]

@@ -23,7 +23,7 @@ use supple_drive::{replay, viewer_stream};
 const QUEUE: usize = 512;
 
 fn main() -> ExitCode {
-    // Also in the process that reads robots: a page may name any file.
+    // This also holds in the process that reads robots, as a page may name any file.
     files::refuse_pipes();
     supple::robot::isolate_imports();
     supple::announce_revision!();

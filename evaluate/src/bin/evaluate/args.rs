@@ -39,7 +39,7 @@ pub struct Args {
         "experiments", "policies", "a", "b", "names", "also", "quick", "joints", "sensing", "results",
     ])]
     pub exam: Option<PathBuf>,
-    /// Draw the learning curves of runs instead, such as runs/fast for all its seeds, into the folder --out
+    /// Draw the learning curves of runs instead, into the folder --out; runs/fast stands for all its seeds
     #[arg(long, value_name = "PATH", num_args = 1.., conflicts_with_all = ["exam", "policies", "a", "names"])]
     pub curves: Vec<PathBuf>,
     /// Name and path of a further set, shown beside the two that are compared; may be repeated
@@ -113,7 +113,7 @@ impl Args {
     }
 }
 
-/// Returns the name of a policy or a set in figures: that of its file, with its compliance, as far as it can be printed.
+/// Returns the name of a policy or a set in figures: its file name with its compliance, without control characters.
 pub fn label(path: &Path) -> String {
     policy_label(&path.display().to_string()).chars().filter(|c| !c.is_control()).take(MOST_NAME).collect()
 }

@@ -29,12 +29,12 @@ fn main() -> ExitCode {
 }
 
 fn run(args: &Args) -> anyhow::Result<()> {
-    // Not after minutes of work.
+    // A wrong path fails now, not after minutes of work.
     if let Some(path) = &args.results {
         let at = || format!("--results {}", path.display());
         Target::of(path).with_context(at)?;
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
-        anyhow::ensure!(folder.is_none_or(Path::is_dir), "{}: there is no folder for it; make it", at());
+        anyhow::ensure!(folder.is_none_or(Path::is_dir), "{}: its folder does not exist; create it", at());
     }
     if let Some(policy) = &args.exam {
         return examine(policy, args);

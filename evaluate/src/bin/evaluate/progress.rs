@@ -11,7 +11,7 @@ use supple_evaluate::runner::{self, Job, RunError, Update};
 /// The number of steps of the bar per second of simulated time.
 const STEPS: f64 = 1000.0;
 
-/// Runs all jobs with a bar of what is left, and prints a line with the same after each of them.
+/// Runs all jobs with a progress bar, and prints a line with the remaining work after each job.
 pub fn run(jobs: &[Job]) -> Result<(), RunError> {
     let steps = |cost_s: f64| (STEPS * cost_s) as u64;
     let bar = progress(jobs.iter().map(|job| steps(job.work.cost_s)).sum());
@@ -39,7 +39,7 @@ pub fn run(jobs: &[Job]) -> Result<(), RunError> {
     done
 }
 
-/// Returns the trials and the time that are left, from the time of those that were played; nothing if none are left.
+/// Returns a text with the remaining trials and time, extrapolated from the work so far; empty if no trials remain.
 fn ahead(bar: &ProgressBar, trials: u64, start: Instant) -> String {
     let (done, all) = (bar.position(), bar.length().unwrap_or(0));
     if trials == 0 || done == 0 {
@@ -49,7 +49,7 @@ fn ahead(bar: &ProgressBar, trials: u64, start: Instant) -> String {
     format!("; {trials} trials left, about {}", duration(left_s))
 }
 
-/// Says for which other process this one waits.
+/// Prints which other process this one waits for.
 pub fn waits(other: &str) {
     terminal::note(format_args!("waiting for {other}"));
 }

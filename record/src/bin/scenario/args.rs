@@ -17,12 +17,12 @@ const OUTPUT: &str = "Output";
 
 /// Disturb a walking robot and watch what it does.
 ///
-/// Plays a scenario with one policy or two, prints what happened, and leaves a recording for the rerun viewer.
+/// Plays a scenario with one policy or two, prints metrics and events, and writes a recording for the rerun viewer.
 #[derive(Parser, Debug)]
 #[command(name = env!("CARGO_BIN_NAME"), version = supple::provenance::version())]
 pub struct Args {
-    /// Policy file, run folder, YAML file of an external policy, or name of a shipped policy; with @C behind it, this robot has
-    /// the commanded compliance C (m/s/N) instead of --compliance [default: compliant]
+    /// Policy file, run folder, YAML file of an external policy, or name of a shipped policy; NAME@C sets this robot's commanded compliance
+    /// C (m/s/N) instead of --compliance [default: compliant]
     #[arg(long, global = true, help_heading = INPUT, value_name = "FILE|NAME[@C]")]
     pub policy: Option<String>,
     /// Second policy in the same recording, `none` for none [default: baseline, if --policy is not given and both ship]
@@ -44,7 +44,7 @@ pub struct Args {
     /// State that the policy acts on: the true one, or an estimate from noisy sensors
     #[arg(long, global = true, help_heading = INPUT, value_enum, default_value_t)]
     pub sensing: Sensing,
-    /// YAML file with parameters of the scenario, by the names of its flags; flags win
+    /// YAML file with parameters of the scenario, by the names of its flags; flags take precedence
     #[arg(long, global = true, help_heading = INPUT, value_name = "FILE")]
     pub params: Option<PathBuf>,
     /// Recording to write [default: SCENARIO.rrd]
@@ -61,14 +61,14 @@ pub struct Args {
     #[arg(long, global = true, help_heading = OUTPUT, value_name = "PORT", num_args = 0..=1, require_equals = true,
           default_missing_value = "9090", conflicts_with_all = ["record", "no_record", "connect"])]
     pub serve: Option<u16>,
-    /// Draw a video as well, 30 frames a second, which ends with .mp4, .webp or .gif; for programs built with the feature `video`
+    /// Also draw a video (.mp4, .webp or .gif), 30 frames a second; for programs built with the feature `video`
     #[arg(long, global = true, help_heading = OUTPUT, value_name = "FILE")]
     pub video: Option<PathBuf>,
     /// Width and height of the video (px), even numbers
     #[arg(long, global = true, help_heading = OUTPUT, value_name = "WIDTHxHEIGHT", default_value = "960x540",
           value_parser = picture_size)]
     pub video_size: [usize; 2],
-    /// Keep the last 2 s before a fall as a recording of their own in this folder
+    /// Keep the last 2 s before a fall as a separate recording in this folder
     #[arg(long, global = true, help_heading = OUTPUT, value_name = "DIR")]
     pub on_fall: Option<PathBuf>,
     /// Print one JSON object on stdout and nothing else there

@@ -107,7 +107,7 @@ fn play_scenario(args: &Args, scenario: &Scenario) -> Result<()> {
     let told = output::tell(args, scenario.name(), &outcomes, object);
     #[cfg(feature = "video")]
     let told = told.and_then(|()| video.map_or(Ok(()), |video| trial.draw(&video, &traces)));
-    // A recording is whole also if nothing else could be written. One that is served waits here until it is stopped.
+    // The recording is finished even if other output failed. A served one waits here until Ctrl-C.
     let recorded = recording.finish(&trial, &traces);
     if let (Err(_), Err(error)) = (&told, &recorded) {
         terminal::note(format_args!("error: {}", terminal::complaint(error.as_ref())));
@@ -120,16 +120,16 @@ fn play_scenario(args: &Args, scenario: &Scenario) -> Result<()> {
     Ok(())
 }
 
-/// Plays the scenario with every seed, and prints means and spread; with the first seed alone if seeds draw nothing.
+/// Plays the scenario with every seed, and prints means and spread; with the first seed only if the seed changes nothing.
 fn play_seeds(args: &Args, scenario: &Scenario, robots: &[(String, Agent)], seeds: &RangeInclusive<u64>) -> Result<()> {
     let mut runs: Vec<OfSeeds<'_>> = robots.iter().map(|played| OfSeeds { played, metrics: Vec::new() }).collect();
     let of_seed = |seed: &u64| Trial::new(args, scenario, robots, *seed);
     let (first, last) = (seeds.start(), seeds.end());
-    // The same trial again and again has no spread.
+    // Identical trials have no spread.
     let is_one = first < last && args.sensing == Sensing::True && of_seed(first)?.scripts == of_seed(last)?.scripts;
     if is_one {
         let name = scenario.name();
-        terminal::note(format_args!("note: seeds draw nothing in {name}: there is one trial, that of seed {first}"));
+        terminal::note(format_args!("note: the seed changes nothing in {name}: only seed {first} is played"));
     }
     let seeds = &if is_one { *first..=*first } else { seeds.clone() };
     let mut failed = None;
@@ -181,7 +181,7 @@ fn robots(args: &Args) -> Result<Vec<(String, Agent)>> {
     Ok(robots)
 }
 
-/// A scenario with a seed, and what it has each robot do.
+/// A scenario with a seed, the robots that play it, and the script of each.
 pub struct Trial<'a> {
     args: &'a Args,
     scenario: &'a Scenario,

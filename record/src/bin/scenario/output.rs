@@ -70,7 +70,7 @@ pub fn tell(args: &Args, title: &str, outcomes: &[Outcome<'_>], object: impl FnO
             .with_context(|| format!("cannot write {}", path.display()))?;
     }
     if table_to_output(args) {
-        // Standard output is a table now: what is for people stays out of it.
+        // Standard output holds the CSV, so the summary goes to standard error.
         terminal::note(summary(title, outcomes).trim_end());
     } else if args.json {
         terminal::print(format_args!("{}\n", object()))?;
@@ -92,7 +92,7 @@ pub fn undefined<'a>(policy: &str, metrics: impl IntoIterator<Item = &'a Metric>
         }
     }
     let line =
-        |(reason, labels): (&str, Vec<&str>)| format!("  undefined of {policy}, as {reason}: {}\n", labels.join("; "));
+        |(reason, labels): (&str, Vec<&str>)| format!("  undefined for {policy}, as {reason}: {}\n", labels.join("; "));
     labels.into_iter().map(line).collect()
 }
 

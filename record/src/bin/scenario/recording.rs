@@ -36,7 +36,7 @@ impl Recording {
         Ok(Recording { recorder: Some(recorder), sink: Some(sink) })
     }
 
-    /// Creates a recording that records nothing.
+    /// Creates a placeholder that records nothing.
     pub fn none() -> Self {
         Recording { recorder: None, sink: None }
     }
@@ -52,7 +52,7 @@ impl Recording {
     fn unless_the_viewer_is_gone(&mut self, logged: Result<(), RecordError>) -> Result<()> {
         match logged {
             Err(error) if matches!(self.sink, Some(Sink::Connect(_))) => {
-                terminal::note(format_args!("warning: {error}; going on without a viewer"));
+                terminal::note(format_args!("warning: {error}; continuing without a viewer"));
                 self.recorder = None;
                 Ok(())
             }

@@ -53,7 +53,7 @@ pub fn summary(scenario: &Scenario, seeds: &RangeInclusive<u64>, runs: &[OfSeeds
         format!("{name}, seed {first_seed}: one trial\n")
     } else {
         format!(
-            "{name}, seeds {first_seed} to {last_seed}: mean ± standard deviation (of how many, if not of all {count})\n"
+            "{name}, seeds {first_seed} to {last_seed}: mean ± standard deviation (with the number of seeds, if not all {count})\n"
         )
     };
     let header: String = runs.iter().map(|run| format!("{:>30}", run.played.0)).collect();

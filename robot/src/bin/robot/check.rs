@@ -17,14 +17,14 @@ use supple_robot::serve::{scenario, told};
 pub struct Check {
     /// Log of `robot run`, a bag of ROS 2 (.mcap), or a CSV file of another program
     log: PathBuf,
-    /// The policy that ran; with @C behind it, with the commanded compliance C (m/s/N), where the log does not say it
+    /// The policy that ran; NAME@C gives its commanded compliance C (m/s/N) where the log has none
     #[arg(value_name = "FILE|NAME[@C]")]
     policy: String,
-    /// YAML file about a log of another program: names that it has for our columns, as in `names: {gyro_x: omega_x}`, values of those that
-    /// it lacks, as in `constants: {kp: 40}`, and when the policy began, as in `from_s: 6`
+    /// YAML file that describes a log of another program: its names of our columns, as in `names: {gyro_x: omega_x}`, values of missing
+    /// columns, as in `constants: {kp: 40}`, and the time at which the policy began, as in `from_s: 6`
     #[arg(long, value_name = "FILE")]
     columns: Option<PathBuf>,
-    /// Delay of the joint targets that is wanted (s) [default: that of the policy's training]
+    /// Expected delay of the joint targets (s) [default: that of the policy's training]
     #[arg(long, value_name = "S")]
     latency_s: Option<f64>,
 }
@@ -41,13 +41,13 @@ pub fn run(args: &Check) -> Result<bool> {
     let Verdict { at_first_rad, at_last_rad, findings } = &verdict;
     terminal::print(format_args!("replayed and sent joint targets differ by {at_first_rad:.4} rad\n"))?;
     for finding in findings {
-        let left = finding.difference_rad.map_or(String::new(), |left| format!(" (with it undone: {left:.4} rad)"));
+        let left = finding.difference_rad.map_or(String::new(), |left| format!(" (once corrected: {left:.4} rad)"));
         terminal::print(format_args!("  {}{left}\n", finding.text))?;
     }
     if verdict.fits() {
         terminal::print("the log fits the policy\n")?;
     } else if findings.len() > 1 {
-        terminal::print(format_args!("with all of this undone: {at_last_rad:.4} rad\n"))?;
+        terminal::print(format_args!("with all of this corrected: {at_last_rad:.4} rad\n"))?;
     }
     Ok(verdict.fits())
 }

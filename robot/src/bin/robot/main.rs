@@ -1,4 +1,4 @@
-//! The program `robot`: the Go2's own interface, on both sides of it.
+//! The program `robot`: both sides of the Go2's own interface.
 
 mod check;
 mod run;
@@ -13,7 +13,7 @@ use supple::util::terminal;
 use supple_robot::bridge;
 use supple_robot::serve::{Settings, play};
 
-/// Bring policies onto a Go2, or be a simulated Go2 for any controller.
+/// Run policies on a Go2, or simulate a Go2 for any controller.
 #[derive(Parser, Debug)]
 #[command(name = env!("CARGO_BIN_NAME"), version = supple::provenance::version())]
 struct Program {
@@ -23,25 +23,25 @@ struct Program {
 
 #[derive(Subcommand, Debug)]
 enum What {
-    /// Be the robot: a simulated Go2 as strict as a real one
+    /// Simulate a Go2 that is as strict as a real one
     ///
-    /// Publishes rt/lowstate at 500 Hz and obeys rt/lowcmd, in real time. Without a scenario, the robot is on the plane until Ctrl-C.
-    /// With one, a simulated person with the remote presses START for the client to stand up and A for its policy to begin, when
-    /// the scenario begins too, and keeps the sticks at the scenario's command.
+    /// Publishes rt/lowstate at 500 Hz and obeys rt/lowcmd, in real time. Without a scenario, the robot is on a plane until Ctrl-C. With
+    /// one, a simulated operator presses START on the remote, for the client to stand up, then A, which starts its policy and the scenario.
+    /// The sticks stay at the scenario's command.
     Serve(Settings),
-    /// Bring a policy onto the robot
+    /// Run a policy on the robot
     ///
     /// The robot lies at first. Orders come from keys, from lines of JSON on standard input or from UDP, and from the robot's own
     /// remote: START stands up, A starts the policy, X lies down, SELECT or L2 with B damps at once.
     Run(bridge::Settings),
-    /// Play both without a network
+    /// Play `run` and `serve` together without a network
     ///
-    /// Plays what `run` and `serve` would do together, as fast as the machine, with the same numbers each time.
+    /// Runs as fast as the machine allows, and gives the same numbers each time.
     Rehearse(check::Rehearse),
-    /// Find out from a log what does not fit between a policy and a robot
+    /// Find mismatches between a policy and a robot in a log
     ///
-    /// Replays the policy on the log's readings, compares its joint targets with those that were sent, and names what does not
-    /// fit: order or sign of joints, degrees, frames, gains, a delay. The exit code is 1 if something does not.
+    /// Replays the policy on the log's readings, compares its joint targets with those that were sent, and names the mismatches: order or
+    /// sign of joints, degrees, frames, gains, a delay. The exit code is 1 if there is one.
     Check(check::Check),
 }
 

@@ -15,8 +15,7 @@ use supple_robot::bridge::{KEYS, Order, Report, Settings, drive};
 
 use crate::stop_flag;
 
-/// Runs until a key or Ctrl-C. Where the orders on standard input end, as where the program that gives them has died, the robot stops
-/// walking.
+/// Runs until a key or Ctrl-C. When the orders on standard input end, for example because their program has died, the robot stops walking.
 pub fn run(settings: &Settings) -> Result<()> {
     let agent = shipped::find(&settings.policy)?;
     let compliance = agent.resolve_compliance(None, settings.compliance).with_context(|| settings.policy.clone())?;
@@ -57,7 +56,7 @@ pub fn run(settings: &Settings) -> Result<()> {
     report.log_error.map_or(Ok(()), |error| Err(anyhow::anyhow!("cannot write the log {log}: {error}")))
 }
 
-/// Reads lines of JSON to their end; returns true if one of them was an order. What is no text is no order.
+/// Reads lines of JSON to their end; returns true if one of them was an order. A line that is not text is no order.
 fn lines(mut input: impl BufRead, sender: &Sender<Order>, range: &FullSticks) -> bool {
     let (mut has_ordered, mut bytes) = (false, Vec::new());
     while input.read_until(b'\n', &mut bytes).is_ok_and(|length| length > 0) {
@@ -73,15 +72,15 @@ fn lines(mut input: impl BufRead, sender: &Sender<Order>, range: &FullSticks) ->
     has_ordered
 }
 
-/// Reads lines of JSON from a program that leads the robot, and stops the robot at their end.
+/// Reads lines of JSON from a program that commands the robot, and stops the robot at their end.
 fn orders_of_stdin(input: impl BufRead, sender: &Sender<Order>, range: &FullSticks) {
     if lines(input, sender, range) {
-        terminal::note("standard input has ended, and with it the orders: velocity 0");
+        terminal::note("standard input has ended, no more orders will come: velocity 0");
         let _ = sender.send(Order::Command(Command::default()));
     }
 }
 
-/// Reads datagrams of JSON lines, and stops the robot where no order follows an order in time.
+/// Reads datagrams of JSON lines, and stops the robot if [`UDP_SILENCE`] passes after an order.
 fn listen(socket: UdpSocket, sender: Sender<Order>, range: FullSticks) -> Result<()> {
     socket.set_read_timeout(Some(UDP_SILENCE / 5))?;
     std::thread::spawn(move || {
@@ -111,7 +110,7 @@ fn keys(sender: &Sender<Order>) {
 /// Time after an order from UDP until the robot stops, if no other comes.
 const UDP_SILENCE: Duration = Duration::from_millis(500);
 
-/// Code of a key that a terminal does not have (`_POSIX_VDISABLE` of Linux).
+/// Code that disables a key of the terminal (`_POSIX_VDISABLE` of Linux).
 const DISABLED: u8 = 0;
 
 /// A terminal that gives single keys, until it is dropped.
@@ -172,7 +171,7 @@ mod tests {
         leader.send(b"{\"forward\": 0.5, \"left\": 0, \"yaw\": 0}").unwrap();
         let next = || orders.recv_timeout(Duration::from_secs(60)).unwrap();
         assert_eq!(next(), Order::Command(Command::velocity(0.5, 0.0, 0.0)));
-        // What is no order does not lead the robot.
+        // A datagram that is no order does not keep the robot going.
         leader.send(b"forward").unwrap();
         leader.send(b"{\"forward\": 1e308, \"left\": 0, \"yaw\": 0}").unwrap();
         assert_eq!(next(), Order::Command(Command::default()));

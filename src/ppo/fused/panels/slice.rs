@@ -6,7 +6,7 @@ use crate::network::panel::{pack, panel_outputs, panel_starts};
 use crate::ppo::fused::optimizer::AdamParameters;
 use crate::ppo::fused::tree::Tree;
 
-/// Number of inputs in a slice, but for the last of a panel: few enough that 64 threads all have one.
+/// Number of inputs in a slice, except the last of a panel: few enough that 64 threads all have one.
 pub const SLICE: usize = 2 * PANEL;
 
 /// The weights from up to [`SLICE`] inputs to 32 outputs in training.

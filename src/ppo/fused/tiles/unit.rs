@@ -108,8 +108,8 @@ fn permitted() -> bool {
 /// a tile's row in `row`, and the sums in tiles 0 to 3.
 macro_rules! sum_products {
     ($steps:ident, $sums:ident, $add:ident, $($of_step:literal),+) => {
-        // SAFETY: `sums` is four tiles of 1024 bytes, an operand two for each part, which are only read. A step is two
-        // addresses. `TileUnit` says that the instructions are there.
+        // SAFETY: `sums` is four tiles of 1024 bytes, an operand two for each part, which are only read. A step is two addresses. A
+        // `TileUnit` exists only where the instructions do.
         unsafe {
             asm!(
                 "tilezero tmm0", "tilezero tmm1", "tilezero tmm2", "tilezero tmm3",
