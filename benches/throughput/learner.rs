@@ -2,12 +2,11 @@
 
 The batch is a real rollout of a fresh policy. Every repetition starts from the same parameters, so that all do the same
 work. A sample that goes through one epoch once is a sample pass. The peak is measured in turn with the updates: square
-f32 products of 1024 by candle, whose `gemm` uses all cores.
+f32 products of 1024 by candle, whose `gemm` uses all cores. Ratios are medians of the repetitions' own.
 */
 
 use candle_core::{Device, Tensor};
 use rand::seq::SliceRandom;
-use serde::Serialize;
 use supple::config::{Config, LearnerKind, Ppo, Precision};
 use supple::network::{ActorCritic, Mlp};
 use supple::ppo::{LearnerState, learner, resolved};
@@ -18,7 +17,7 @@ use supple::train::collection::{Collection, Rollout};
 use supple::train::environment::LocomotionEnv;
 use supple::util::random::{Purpose, stream};
 
-use crate::stopwatch::{Effort, median, timed};
+use crate::{Effort, Figures, timed};
 
 /// Edge of the matrices behind the peak.
 const EDGE: usize = 1024;
@@ -29,43 +28,7 @@ const CANDLE_EPOCHS: usize = 4;
 /// Products in one timing of the peak.
 const PRODUCTS: usize = 20;
 
-/// The update on some threads.
-#[derive(Debug, Serialize)]
-pub struct Rates {
-    pub threads: usize,
-    /// Sample passes through both networks and back [1/s].
-    pub sample_passes_per_s: f64,
-    /// Floating-point work of the networks' products [GFLOP/s].
-    pub gflop_per_s: f64,
-}
-
-#[derive(Debug, Serialize)]
-pub struct Update {
-    pub batch_size: usize,
-    pub minibatch_size: usize,
-    pub epochs: usize,
-    /// Floating-point work of a sample pass [kFLOP].
-    pub kflop_per_sample_pass: f64,
-    /// What `ppo.precision: auto` comes to.
-    pub precision: Precision,
-    /// The rates in that precision, on one thread.
-    pub one_thread: Rates,
-    /// The rates in that precision, on all threads.
-    pub all_threads: Rates,
-    /// The rates of each precision that the machine supports, on all threads.
-    pub precisions: Vec<(Precision, Rates)>,
-    /// Median of the repetitions' own ratios: each of these over f32.
-    pub over_f32: Vec<f64>,
-    pub candle: Rates,
-    /// Median of the repetitions' own ratios: f32 on all threads over candle.
-    pub f32_over_candle: f64,
-    /// Square f32 products on all threads [GFLOP/s].
-    pub peak_gflop_per_s: f64,
-    /// Median of the repetitions' own ratios, of f32 on all threads.
-    pub update_over_peak: f64,
-}
-
-pub fn measure(config: &Config, threads: usize, effort: &Effort) -> anyhow::Result<Update> {
+pub fn measure(config: &Config, threads: usize, effort: &Effort, figures: &mut Figures) -> anyhow::Result<()> {
     let ppo = &config.ppo;
     let mut rng = stream(0, Purpose::Weights, 0, 0);
     let log_std = ppo.initial_log_std as f32;
@@ -81,50 +44,36 @@ pub fn measure(config: &Config, threads: usize, effort: &Effort) -> anyhow::Resu
         })
         .collect();
     let start = LearnerState::new(network.clone(), ppo);
-    let sample_passes_per_s = |ppo: &Ppo, threads, permutations: &[Vec<u32>]| -> anyhow::Result<f64> {
-        let mut learner = learner(ppo, start.clone(), threads, Alone::shared())?;
-        let (elapsed_s, statistics) = timed(|| learner.update(&batch, permutations));
-        statistics?;
-        Ok((permutations.len() * rollout.len()) as f64 / elapsed_s)
-    };
-    let few = &permutations[..effort.epochs.min(CANDLE_EPOCHS)];
-    let with = |precision| Ppo { learner: LearnerKind::Fused, precision, ..ppo.clone() };
+    let fused = |precision| Ppo { learner: LearnerKind::Fused, precision, ..ppo.clone() };
     let by_candle = Ppo { learner: LearnerKind::Candle, precision: Precision::F32, ..ppo.clone() };
-    let precision = resolved(&with(Precision::Auto));
-    let mut precisions = vec![Precision::F32, Precision::Mixed];
-    precisions.retain(|precision| learner(&with(*precision), start.clone(), 1, Alone::shared()).is_ok());
-
+    let mut contestants = vec![
+        ("f32", fused(Precision::F32), threads, effort.epochs),
+        ("candle", by_candle, 1, effort.epochs.min(CANDLE_EPOCHS)),
+        ("mixed", fused(Precision::Mixed), threads, effort.epochs),
+    ];
+    contestants.retain(|(_, ppo, ..)| learner(ppo, start.clone(), 1, Alone::shared()).is_ok());
     let flop = flop_per_sample_pass(&network);
-    let (mut one, mut all, mut candle, mut peaks) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    // Sample passes of each contestant [1/s], and the peak [FLOP/s].
+    let mut rounds = Vec::new();
     for _ in 0..effort.repetitions {
-        peaks.push(product_gflop_per_s()?);
-        let rates = precisions.iter().map(|precision| sample_passes_per_s(&with(*precision), threads, &permutations));
-        all.push(rates.collect::<anyhow::Result<Vec<f64>>>()?);
-        one.push(sample_passes_per_s(&with(precision), 1, &permutations)?);
-        candle.push(sample_passes_per_s(&by_candle, 1, few)?);
+        let peak = product_flop_per_s()?;
+        let passes_per_s = |(_, ppo, threads, epochs): &(&str, Ppo, usize, usize)| -> anyhow::Result<f64> {
+            let mut learner = learner(ppo, start.clone(), *threads, Alone::shared())?;
+            let (elapsed_s, _) = timed(|| Ok(learner.update(&batch, &permutations[..*epochs])?))?;
+            Ok((epochs * rollout.len()) as f64 / elapsed_s)
+        };
+        rounds.push((contestants.iter().map(passes_per_s).collect::<anyhow::Result<Vec<_>>>()?, peak));
     }
-    let gflop = |rate: f64| 1e-9 * flop * rate;
-    let rates = |threads, rates: Vec<f64>| {
-        let sample_passes_per_s = median(rates);
-        Rates { threads, sample_passes_per_s, gflop_per_s: gflop(sample_passes_per_s) }
-    };
-    let of = |index: usize| all.iter().map(move |rates| rates[index]).collect::<Vec<f64>>();
-    let used = precisions.iter().position(|of| *of == precision).unwrap_or(0);
-    Ok(Update {
-        batch_size: rollout.len(),
-        minibatch_size: ppo.minibatch_size,
-        epochs: effort.epochs,
-        kflop_per_sample_pass: 1e-3 * flop,
-        precision,
-        one_thread: rates(1, one),
-        all_threads: rates(threads, of(used)),
-        over_f32: (0..precisions.len()).map(|index| median(all.iter().map(|rates| rates[index] / rates[0]))).collect(),
-        precisions: precisions.iter().enumerate().map(|(index, of_it)| (*of_it, rates(threads, of(index)))).collect(),
-        f32_over_candle: median(all.iter().zip(&candle).map(|(rates, candle)| rates[0] / candle)),
-        candle: rates(1, candle),
-        update_over_peak: median(all.iter().zip(&peaks).map(|(rates, peak)| gflop(rates[0]) / peak)),
-        peak_gflop_per_s: median(peaks),
-    })
+    for (k, (name, ..)) in contestants.iter().enumerate() {
+        figures.note(format!("{name}_passes_per_s"), rounds.iter().map(|(rates, _)| rates[k]));
+        figures.note(format!("{name}_over_f32"), rounds.iter().map(|(rates, _)| rates[k] / rates[0]));
+    }
+    let used = if resolved(&fused(Precision::Auto)) == Precision::Mixed { "mixed" } else { "f32" };
+    figures.note("sample_passes_per_s", [figures.get(&format!("{used}_passes_per_s"))]);
+    figures.note("kflop_per_sample_pass", [1e-3 * flop]);
+    figures.note("peak_gflop_per_s", rounds.iter().map(|(_, peak)| 1e-9 * peak));
+    figures.note("update_over_peak", rounds.iter().map(|(rates, peak)| flop * rates[0] / peak));
+    Ok(())
 }
 
 fn rollout(config: &Config, network: &ActorCritic, threads: usize, effort: &Effort) -> anyhow::Result<Rollout> {
@@ -150,12 +99,11 @@ fn flop_per_sample_pass(network: &ActorCritic) -> f64 {
     (of_mlp(&network.policy) + of_mlp(&network.value)) as f64
 }
 
-fn product_gflop_per_s() -> candle_core::Result<f64> {
+fn product_flop_per_s() -> anyhow::Result<f64> {
     let matrix = || Tensor::randn(0_f32, 1.0, (EDGE, EDGE), &Device::Cpu);
     let (a, b) = (matrix()?, matrix()?);
     a.matmul(&b)?;
-    let (elapsed_s, result) =
-        timed(|| (0..PRODUCTS).try_for_each(|_| a.matmul(&b).map(|c| drop(std::hint::black_box(c)))));
-    result?;
-    Ok(1e-9 * 2.0 * (EDGE as f64).powi(3) * PRODUCTS as f64 / elapsed_s)
+    let (elapsed_s, ()) =
+        timed(|| Ok((0..PRODUCTS).try_for_each(|_| a.matmul(&b).map(|c| drop(std::hint::black_box(c))))?))?;
+    Ok(2.0 * (EDGE as f64).powi(3) * PRODUCTS as f64 / elapsed_s)
 }

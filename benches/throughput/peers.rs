@@ -1,91 +1,67 @@
-/*! What Supple is measured against: PyTorch's update and Stable-Baselines3's whole iteration, in the same run.
+/*! PyTorch's update and Stable-Baselines3's whole iteration, in the same run, if `benches/peers/setup` has installed them.
 
-`benches/peers/setup` installs them under `target/peers`; without that there is nothing to compare with, and that is
-fine. The peers get the configuration as JSON and the scene as the MJCF that MuJoCo gets from us, in `target/peers/input`,
-and answer with one JSON object on their last line. A peer that fails is reported and left out; a quick run leaves out
-both.
+The peers get the configuration as JSON and the scene as the MJCF that MuJoCo gets from us, in `target/peers/input`, and
+answer with one JSON object on their last line. A peer that fails is reported and left out.
 */
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Stdio};
 
-use anyhow::{Context, bail};
-use serde::Serialize;
-use serde_json::Value;
+use anyhow::{Context, ensure};
+use serde_json::{Value, json};
 use supple::config::Config;
 use supple::robot::Robot;
 use supple::sim::Scene;
 
-use crate::stopwatch::Effort;
+use crate::{Effort, Figures};
 
-/// The rates that the peers' scripts report.
-#[derive(Debug, Serialize)]
-pub struct Peers {
-    /// `benches/peers/torch_update.py`
-    pub torch_update: Option<Value>,
-    /// `benches/peers/sb3.py`
-    pub sb3: Option<Value>,
-    /// The same on our environment, by the Python package.
-    pub sb3_on_supple: Option<Value>,
-}
+/// Name, script, its options, the figure that is compared, and the name of ours over that of the peer.
+const PEERS: [(&str, &str, &[&str], &str, &str); 3] = [
+    ("torch", "torch_update.py", &[], "sample_passes_per_s", "update_over_torch"),
+    ("sb3", "sb3.py", &[], "samples_per_s", "end_to_end_over_sb3"),
+    ("sb3_on_supple", "sb3.py", &["--environment", "supple"], "samples_per_s", "end_to_end_over_sb3_on_supple"),
+];
 
-/// Runs the peers if they are installed.
-pub fn measure(config: &Config, threads: usize, effort: &Effort) -> anyhow::Result<Option<Peers>> {
+pub fn measure(config: &Config, threads: usize, effort: &Effort, figures: &mut Figures) -> anyhow::Result<()> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let installed = root.join("target/peers");
     if !installed.join("ready").exists() {
-        return Ok(None);
+        return Ok(());
     }
     let folder = installed.join("input");
     std::fs::create_dir_all(&folder)?;
-    let write = |name: &str, text: &str| std::fs::write(folder.join(name), text).context(name.to_owned());
     let layout = config.layout()?;
     let mut told = serde_json::to_value(config)?;
-    told["normaliser"] = serde_json::json!({ "offset": layout.offset(), "scale": layout.scale() });
-    write("config.json", &told.to_string())?;
+    told["normaliser"] = json!({ "offset": layout.offset(), "scale": layout.scale() });
     let scene = Scene::flat(Robot::load("go1")?, config.simulation.timestep_s());
-    write("scene.xml", &scene.xml(true))?;
-    write("robot.xml", scene.robot.mjcf())?;
-    if effort.quick {
-        return Ok(None);
-    }
-    let runner = Runner { root, python: installed.join("bin/python"), folder: &folder, threads, effort };
-    Ok(Some(Peers {
-        torch_update: runner.run("torch_update.py", &[]),
-        sb3: runner.run("sb3.py", &[]),
-        sb3_on_supple: runner.run("sb3.py", &["--environment", "supple"]),
-    }))
-}
-
-struct Runner<'a> {
-    root: &'a Path,
-    python: PathBuf,
-    folder: &'a Path,
-    threads: usize,
-    effort: &'a Effort,
-}
-
-impl Runner<'_> {
-    fn run(&self, script: &str, options: &[&str]) -> Option<Value> {
-        eprintln!("{script} {} …", options.join(" "));
-        self.try_run(script, options).inspect_err(|error| eprintln!("warning: {script} is left out: {error:#}")).ok()
-    }
-
-    fn try_run(&self, script: &str, options: &[&str]) -> anyhow::Result<Value> {
-        let output = Command::new(&self.python)
-            .arg(self.root.join("benches/peers").join(script))
-            .arg(self.folder)
-            .args(options)
-            .args(["--threads", &self.threads.to_string()])
-            .args(["--epochs", &self.effort.epochs.to_string()])
-            .args(["--repetitions", &self.effort.repetitions.to_string()])
-            .stderr(Stdio::inherit())
-            .output()?;
-        if !output.status.success() {
-            bail!("it ended with {}", output.status);
+    std::fs::write(folder.join("config.json"), told.to_string())?;
+    std::fs::write(folder.join("scene.xml"), scene.xml(true))?;
+    std::fs::write(folder.join("robot.xml"), scene.robot.mjcf())?;
+    let ask = |script: &str, options: &[&str]| -> anyhow::Result<Value> {
+        let mut peer = Command::new(installed.join("bin/python"));
+        peer.arg(root.join("benches/peers").join(script)).arg(&folder).args(options);
+        for (flag, number) in [("threads", threads), ("epochs", effort.epochs), ("repetitions", effort.repetitions)] {
+            peer.args([format!("--{flag}"), number.to_string()]);
         }
+        let output = peer.stderr(Stdio::inherit()).output()?;
+        ensure!(output.status.success(), "it ended with {}", output.status);
         let text = String::from_utf8(output.stdout)?;
-        let last = text.lines().last().context("it printed nothing")?;
-        Ok(serde_json::from_str(last)?)
+        Ok(serde_json::from_str(text.lines().last().context("it printed nothing")?)?)
+    };
+    for (name, script, options, figure, ratio) in PEERS {
+        let answer = match ask(script, options) {
+            Ok(answer) => answer,
+            Err(error) => {
+                eprintln!("warning: {name} is left out: {error:#}");
+                continue;
+            }
+        };
+        for key in ["sample_passes_per_s", "samples_per_s", "rollout_s", "update_s"] {
+            if let Some(value) = answer[key].as_f64() {
+                figures.note(format!("{name}_{key}"), [value]);
+            }
+        }
+        figures.note(ratio, [figures.get(figure) / figures.get(&format!("{name}_{figure}"))]);
     }
+    Ok(())
 }

@@ -281,9 +281,7 @@ fn newer_policy_of_run_takes_over_while_driving() {
 
 #[test]
 fn viewers_and_changes_leave_no_threads_behind() {
-    let folder = tempfile::tempdir().unwrap();
-    let drive = Drive::start(folder.path(), &[]);
-    let mut page = drive.page();
+    let (_folder, drive, mut page) = start(&[]);
     // Reads a viewer's files for a while.
     let view = |page: &mut common::Page, count: usize, request: Option<&Value>| {
         let mut viewer = drive.open("/view");

@@ -5,7 +5,7 @@ use std::ptr::NonNull;
 use mujoco_sys as sys;
 use nalgebra::Isometry3;
 
-use super::error::{BufferKind, Error, Result, StateKind};
+use super::error::{Error, Result};
 use super::model::{Inertial, Model, Object};
 use super::{EMPTY_MESSAGE, check, unit};
 
@@ -242,11 +242,11 @@ impl Data {
             return Ok(());
         }
         let unstable = [
-            (sys::mjWARN_BADQPOS, StateKind::Position),
-            (sys::mjWARN_BADQVEL, StateKind::Velocity),
-            (sys::mjWARN_BADQACC, StateKind::Acceleration),
-            (sys::mjWARN_BADCTRL, StateKind::Control),
-            (sys::mjWARN_INERTIA, StateKind::Inertia),
+            (sys::mjWARN_BADQPOS, "Position"),
+            (sys::mjWARN_BADQVEL, "Velocity"),
+            (sys::mjWARN_BADQACC, "Acceleration"),
+            (sys::mjWARN_BADCTRL, "Control"),
+            (sys::mjWARN_INERTIA, "Inertia"),
         ];
         for (warning, kind) in unstable {
             let warning = &warnings[warning as usize];
@@ -255,9 +255,9 @@ impl Data {
             }
         }
         if warnings[sys::mjWARN_CONTACTFULL as usize].number > 0 {
-            return Err(Error::BufferFull { buffer: BufferKind::Contacts, size: self.model.nconmax() });
+            return Err(Error::BufferFull { buffer: "Contacts", size: self.model.nconmax() });
         }
-        Err(Error::BufferFull { buffer: BufferKind::Constraints, size: self.model.njmax() })
+        Err(Error::BufferFull { buffer: "Constraints", size: self.model.njmax() })
     }
 
     /// Returns the pose of a body in the world.
@@ -405,11 +405,11 @@ mod tests {
             let mut data = ball();
             data.velocities_mut()[2] = f64::NAN;
             let error = data.step().unwrap_err();
-            assert_eq!(error, Error::Unstable { kind: StateKind::Velocity, index: 2 });
+            assert_eq!(error, Error::Unstable { kind: "Velocity", index: 2 });
             // MuJoCo's own reset has zeroed its counters once; the next fault must show as well.
             data.reset().unwrap();
             data.positions_mut()[0] = f64::INFINITY;
-            assert!(matches!(data.step1(), Err(Error::Unstable { kind: StateKind::Position, .. })));
+            assert!(matches!(data.step1(), Err(Error::Unstable { kind: "Position", .. })));
         }
     }
 
@@ -434,7 +434,7 @@ mod tests {
             return assert_eq!(data.contacts().count(), 7);
         }
         let error = data.step1().unwrap_err();
-        assert_eq!(error, Error::BufferFull { buffer: BufferKind::Contacts, size: 4 });
+        assert_eq!(error, Error::BufferFull { buffer: "Contacts", size: 4 });
         assert!(error.to_string().contains("nconmax"));
     }
 

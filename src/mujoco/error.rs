@@ -3,30 +3,6 @@
 /// Result of a MuJoCo call.
 pub type Result<T> = std::result::Result<T, Error>;
 
-/// The part of the state that became invalid (NaN or beyond 1e10).
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum StateKind {
-    /// The generalised positions.
-    Position,
-    /// The generalised velocities.
-    Velocity,
-    /// The generalised accelerations.
-    Acceleration,
-    /// The actuator controls.
-    Control,
-    /// The mass matrix, which could not be factorised.
-    Inertia,
-}
-
-/// The fixed-size buffer of `mjData` that was too small.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum BufferKind {
-    /// The contact buffer, `nconmax`.
-    Contacts,
-    /// The buffer of constraint rows, `njmax`.
-    Constraints,
-}
-
 /// A fault reported by MuJoCo.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum Error {
@@ -76,18 +52,18 @@ pub enum Error {
         found: String,
     },
     /// The simulation became unstable, and MuJoCo has reset it.
-    #[error("the simulation became unstable: invalid {kind:?} at index {index}")]
+    #[error("the simulation became unstable: invalid {kind} at index {index}")]
     Unstable {
-        /// The quantity that was NaN or huge.
-        kind: StateKind,
+        /// The part of the state that was NaN or beyond 1e10, or `Inertia`: the mass matrix could not be factorised.
+        kind: &'static str,
         /// Index of the first invalid entry.
         index: i32,
     },
     /// A fixed buffer was full and contacts or constraints were dropped.
-    #[error("the buffer for {buffer:?} is full at {size}: enlarge it in the scene (nconmax, njmax)")]
+    #[error("the buffer for {buffer} is full at {size}: enlarge it in the scene (nconmax, njmax)")]
     BufferFull {
-        /// The buffer that was full.
-        buffer: BufferKind,
+        /// The buffer that was full: `Contacts` (nconmax) or `Constraints` (njmax).
+        buffer: &'static str,
         /// Capacity of the buffer.
         size: usize,
     },

@@ -16,7 +16,7 @@ mod render;
 mod sizes;
 
 pub use data::{Contact, Data};
-pub use error::{BufferKind, Error, Result, StateKind};
+pub use error::{Error, Result};
 pub use library::library_file;
 pub use model::{Actuator, Geom, GeomContact, GeomShape, Inertial, Model, Object};
 pub use render::{Camera, LARGEST_PICTURE, MOST_MARKS, Mark, MarkShape, Renderer};

@@ -517,26 +517,4 @@ pub(crate) mod tests {
         let error = Policy::from_bytes(&overflowing.to_bytes().unwrap(), Path::new("huge")).unwrap_err().to_string();
         assert!(error.contains("numbers that are not finite"), "{error}");
     }
-
-    proptest::proptest! {
-        #![proptest_config(proptest::prelude::ProptestConfig {
-            cases: 200, failure_persistence: None, ..proptest::prelude::ProptestConfig::default()
-        })]
-
-        #[test]
-        fn headers_changed_at_random_never_panic(
-            changes in proptest::collection::vec((0_usize..6000, proptest::prelude::any::<u8>()), 1..8),
-        ) {
-            static BYTES: std::sync::OnceLock<Vec<u8>> = std::sync::OnceLock::new();
-            let mut bytes = BYTES.get_or_init(|| policy().to_bytes().unwrap()).clone();
-            for (place, byte) in changes {
-                bytes[place] = byte;
-            }
-            // Refused or harmless: what is read has sane rates, and so a short queue of delayed targets.
-            if let Ok(policy) = Policy::from_bytes(&bytes, Path::new("changed")) {
-                policy.joint_targets(&vec![0.0; policy.layout().length()], &mut InferenceBuffers::default());
-                proptest::prop_assert!(policy.provenance.config.simulation.physics_rate_hz <= 20_000);
-            }
-        }
-    }
 }

@@ -112,27 +112,16 @@ mod tests {
     }
 
     #[test]
-    fn log_prob_equals_the_textbook_formula() {
-        assert_close(DiagonalGaussian::new(&NEW).log_prob(&NEW_MEAN, &ACTION), -4.77537299653387);
-    }
-
-    #[test]
-    fn entropy_equals_the_textbook_formula() {
-        assert_close(DiagonalGaussian::new(&NEW).entropy(), 4.1318155996140185);
-    }
-
-    #[test]
-    fn kl_equals_the_textbook_formula() {
-        let (old, new) = (DiagonalGaussian::new(&OLD), DiagonalGaussian::new(&NEW));
-        assert_close(KlDivergence::new(&old, &new).at(&OLD_MEAN, &NEW_MEAN), 0.4160324150920287);
-    }
-
-    #[test]
-    fn six_actions_have_twice_the_sums_of_three() {
-        let twice = |values: [f32; 3]| [values, values].concat();
-        let (old, new) = (DiagonalGaussian::new(&twice(OLD)), DiagonalGaussian::new(&twice(NEW)));
-        assert_close(new.log_prob(&twice(NEW_MEAN), &twice(ACTION)), 2.0 * -4.77537299653387);
-        assert_close(KlDivergence::new(&old, &new).at(&twice(OLD_MEAN), &twice(NEW_MEAN)), 2.0 * 0.4160324150920287);
+    fn sums_over_actions_equal_the_textbook_formulas() {
+        // Six actions have twice the sums of three.
+        for count in [1, 2] {
+            let of = |values: [f32; 3]| values.repeat(count);
+            let (old, new) = (DiagonalGaussian::new(&of(OLD)), DiagonalGaussian::new(&of(NEW)));
+            let times = count as f64;
+            assert_close(new.log_prob(&of(NEW_MEAN), &of(ACTION)), times * -4.77537299653387);
+            assert_close(new.entropy(), times * 4.1318155996140185);
+            assert_close(KlDivergence::new(&old, &new).at(&of(OLD_MEAN), &of(NEW_MEAN)), times * 0.4160324150920287);
+        }
     }
 
     #[test]

@@ -286,57 +286,37 @@ mod tests {
     use super::*;
     use crate::mujoco::FIXED_BUFFERS;
 
-    /// A rollout of the paper's observation.
+    /// Length of the paper's observation.
     const LENGTH: usize = 83;
 
-    fn rollout(ends: [Option<EpisodeEnd>; 3], bootstraps: [f32; 3]) -> Rollout {
-        Rollout {
-            steps: 3,
-            rewards: vec![1.0, 2.0, 3.0],
-            values: vec![10.0, 20.0, 30.0],
-            ends: ends.to_vec(),
-            bootstraps: bootstraps.to_vec(),
-            ..Rollout::default()
+    #[test]
+    fn advantages_follow_the_ends_of_episodes() {
+        use EpisodeEnd::{Fall, Fault, TimeLimit};
+        for (end, bootstrap, expected) in [
+            // γ = 0.5, λ = 0.5: δ = [1 + 10 − 10, 2 + 15 − 20, 3 + 20 − 30] = [1, −3, −7]
+            // A₂ = −7, A₁ = −3 − 1.75 = −4.75, A₀ = 1 − 1.1875
+            (None, 0.0, [-0.1875, -4.75, -7.0]),
+            // δ₁ = 2 − 20 = −18; A₀ = 1 + 10 − 10 − 0.25·18: the next episode stays out
+            (Some(Fall), 0.0, [-3.5, -18.0, -7.0]),
+            // Cut with final value 24: δ₁ = 2 + 12 − 20 = −6; A₀ = 1 − 0.25·6
+            (Some(TimeLimit), 24.0, [-0.5, -6.0, -7.0]),
+            // A₁ = 0; δ₀ = 1 + 0.5 · 20 − 10 = 1
+            (Some(Fault), 0.0, [1.0, 0.0, -7.0]),
+        ] {
+            let rollout = Rollout {
+                steps: 3,
+                rewards: vec![1.0, 2.0, 3.0],
+                values: vec![10.0, 20.0, 30.0],
+                ends: vec![None, end, None],
+                bootstraps: vec![0.0, bootstrap, 40.0],
+                ..Rollout::default()
+            };
+            let (advantages, returns) = rollout.advantages(0.5, 0.5);
+            for (k, expected) in expected.into_iter().enumerate() {
+                let errors = [advantages[k] - expected, returns[k] - rollout.values[k] - expected];
+                assert!(errors.iter().all(|error| error.abs() < 1e-4), "{end:?}: {advantages:?} {returns:?}");
+            }
         }
-    }
-
-    fn close(found: &[f32], expected: [f32; 3]) {
-        for (found, expected) in found.iter().zip(expected) {
-            assert!((found - expected).abs() < 1e-4, "{found} instead of {expected}");
-        }
-    }
-
-    #[test]
-    fn unfinished_episode_bootstraps_from_last_observation() {
-        // γ = 0.5, λ = 0.5: δ = [1 + 10 − 10, 2 + 15 − 20, 3 + 20 − 30] = [1, −3, −7]
-        // A₂ = −7, A₁ = −3 − 1.75 = −4.75, A₀ = 1 − 1.1875
-        let (advantages, returns) = rollout([None; 3], [0.0, 0.0, 40.0]).advantages(0.5, 0.5);
-        close(&advantages, [-0.1875, -4.75, -7.0]);
-        close(&returns, [9.8125, 15.25, 23.0]);
-    }
-
-    #[test]
-    fn a_fall_ends_the_return_and_keeps_the_next_episode_out() {
-        // step 1 falls: δ₁ = 2 − 20 = −18; A₀ = 1 + 10 − 10 − 0.25·18
-        let (advantages, _) = rollout([None, Some(EpisodeEnd::Fall), None], [0.0, 0.0, 40.0]).advantages(0.5, 0.5);
-        close(&advantages, [-3.5, -18.0, -7.0]);
-    }
-
-    #[test]
-    fn time_limit_bootstraps_from_the_final_observation() {
-        // step 1 is cut with final value 24: δ₁ = 2 + 12 − 20 = −6; A₀ = 1 − 0.25·6
-        let (advantages, _) =
-            rollout([None, Some(EpisodeEnd::TimeLimit), None], [0.0, 24.0, 40.0]).advantages(0.5, 0.5);
-        close(&advantages, [-0.5, -6.0, -7.0]);
-    }
-
-    #[test]
-    fn physics_fault_has_no_advantage_and_returns_its_value() {
-        // A₁ = 0; δ₀ = 1 + 0.5 · 20 − 10 = 1
-        let (advantages, returns) =
-            rollout([None, Some(EpisodeEnd::Fault), None], [0.0, 0.0, 40.0]).advantages(0.5, 0.5);
-        close(&advantages, [1.0, 0.0, -7.0]);
-        close(&returns, [11.0, 20.0, 23.0]);
     }
 
     fn collect(threads: usize, disturb: impl Fn(&mut [LocomotionEnv])) -> Rollout {
@@ -394,20 +374,13 @@ mod tests {
     }
 
     #[test]
-    fn faults_do_not_depend_on_the_number_of_workers() {
-        let (one, three) = (collect(1, break_four), collect(3, break_four));
-        let faults = |rollout: &Rollout| {
-            let faults = rollout.episodes.iter().filter_map(|episode| episode.fault.clone());
-            faults.map(|fault| (fault.environment, fault.step, fault.error, fault.last_second)).collect::<Vec<_>>()
-        };
-        assert_eq!(faults(&one), faults(&three));
-        assert!(one.observations == three.observations && one.rewards == three.rewards);
-    }
-
-    #[test]
-    fn batches_do_not_depend_on_the_number_of_workers() {
-        let (one, three) = (collect(1, |_| {}), collect(3, |_| {}));
-        assert!(one.observations == three.observations && one.actions == three.actions && one.values == three.values);
-        assert!(one.rewards == three.rewards && one.bootstraps == three.bootstraps && one.episodes == three.episodes);
+    fn neither_batches_nor_faults_depend_on_the_number_of_workers() {
+        let disturbances: [fn(&mut [LocomotionEnv]); 2] = [|_| (), break_four];
+        for disturb in disturbances {
+            let (one, three) = (collect(1, disturb), collect(3, disturb));
+            assert_eq!(one.episodes, three.episodes);
+            assert!(one.observations == three.observations && one.actions == three.actions);
+            assert!(one.values == three.values && one.rewards == three.rewards && one.bootstraps == three.bootstraps);
+        }
     }
 }

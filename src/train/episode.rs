@@ -155,7 +155,7 @@ impl Curriculum {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use crate::util::random::{Purpose, stream};
 
@@ -165,6 +165,12 @@ mod tests {
 
     fn pulls(plan: &EpisodePlan) -> impl Iterator<Item = &Pull> {
         plan.disturbances.iter().filter_map(|it| if let Disturbance::Pull(pull) = it { Some(pull) } else { None })
+    }
+
+    /// Returns pulls of up to 50 N.
+    pub(crate) fn pulls_of_50_n(duration_s: [f64; 2], gap_s: [f64; 2]) -> Pulls {
+        let (force_n, fraction_step, fraction_gate) = (50.0, 0.001, 0.8);
+        Pulls { force_n, duration_s, gap_s, fraction_step, fraction_gate, buckets: Vec::new() }
     }
 
     #[test]
@@ -249,14 +255,8 @@ mod tests {
     #[test]
     fn pulls_of_an_episode_come_from_one_bucket() {
         let mut config = Config::load("fast").unwrap();
-        config.pulls = Some(Pulls {
-            force_n: 50.0,
-            duration_s: [0.2, 0.4],
-            gap_s: [0.1, 0.2],
-            fraction_step: 0.001,
-            fraction_gate: 0.8,
-            buckets: vec![0.0, 0.2, 0.5, 1.0],
-        });
+        let buckets = vec![0.0, 0.2, 0.5, 1.0];
+        config.pulls = Some(Pulls { buckets, ..pulls_of_50_n([0.2, 0.4], [0.1, 0.2]) });
         let mut counts = [0; 4];
         for k in 0..1000 {
             let plan = EpisodePlan::draw(&config, Curriculum::complete(), &mut stream(1, Purpose::Episode, k, 0));
@@ -271,14 +271,7 @@ mod tests {
 
     #[test]
     fn pulls_grow_with_the_curriculum() {
-        let range = Pulls {
-            force_n: 50.0,
-            duration_s: [0.5, 2.5],
-            gap_s: [0.2, 1.5],
-            fraction_step: 0.001,
-            fraction_gate: 0.8,
-            buckets: Vec::new(),
-        };
+        let range = pulls_of_50_n([0.5, 2.5], [0.2, 1.5]);
         let without = Config::load("fast").unwrap();
         let config = Config { pulls: Some(range), ..without.clone() };
         let plans = |force_fraction: f64| -> Vec<EpisodePlan> {

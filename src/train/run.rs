@@ -517,28 +517,4 @@ mod tests {
             );
         }
     }
-
-    #[test]
-    fn a_robot_may_lie_elsewhere_and_nothing_else_may_differ() {
-        let (folder, mut checkpoint) = folder("");
-        let mut config = checkpoint.run.config.clone();
-        config.robot.model = "/elsewhere/robot.xml".to_owned();
-        fs::write(folder.path().join(CONFIG), config.to_yaml()).unwrap();
-        let mut notes = Vec::new();
-        check_config(folder.path(), &mut checkpoint, &mut notes).unwrap();
-        assert_eq!(checkpoint.run.config, config);
-        assert!(notes.len() == 1 && notes[0].starts_with("robot.model is /elsewhere/robot.xml in "), "{notes:?}");
-        config.ppo.discount = 0.5;
-        fs::write(folder.path().join(CONFIG), config.to_yaml()).unwrap();
-        let error = check_config(folder.path(), &mut checkpoint, &mut notes).unwrap_err().to_string();
-        assert!(error.contains("was changed after the run began: ppo.discount: 0.5 and 0.99"), "{error}");
-    }
-
-    #[test]
-    fn metrics_of_another_run_are_refused() {
-        let (folder, mut checkpoint) = folder(&lines(&[1, 2, 3]));
-        checkpoint.run.elapsed_s = 1.25;
-        let error = metrics_up_to(folder.path(), &checkpoint).unwrap_err().to_string();
-        assert!(error.contains("two runs are mixed"), "{error}");
-    }
 }

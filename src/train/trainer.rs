@@ -483,21 +483,6 @@ mod tests {
     }
 
     #[test]
-    fn sharded_run_has_same_bits_for_any_threads_and_resumption() {
-        same_bits_for_any_threads_and_resumption(&sharded(8));
-    }
-
-    #[test]
-    fn privileged_critic_has_same_bits_for_any_threads_and_resumption() {
-        same_bits_for_any_threads_and_resumption(&privileged());
-    }
-
-    #[test]
-    fn training_for_a_real_robot_has_same_bits_for_any_threads_and_resumption() {
-        same_bits_for_any_threads_and_resumption(&real());
-    }
-
-    #[test]
     fn policy_of_a_privileged_critic_is_the_actor_alone() {
         let mut config = privileged();
         (config.ppo.learner, config.ppo.precision, config.ppo.shards) = (LearnerKind::Candle, Precision::F32, 1);
@@ -516,8 +501,9 @@ mod tests {
         assert!(error.contains("another observation") || error.contains("value function maps 113"), "{error}");
     }
 
-    fn same_bits_for_any_threads_and_resumption(config: &Config) {
-        let run = |threads: [usize; 3]| {
+    #[test]
+    fn training_has_same_bits_for_any_threads_and_resumption() {
+        let run = |config: &Config, threads: [usize; 3]| {
             let mut trainer = Trainer::new("test", config.clone(), 3, threads[0]).unwrap();
             let mut metrics = Vec::new();
             for (index, threads) in threads.into_iter().enumerate() {
@@ -532,8 +518,10 @@ mod tests {
             end.run.elapsed_s = 0.0;
             (metrics, end)
         };
-        let one = run([1, 1, 1]);
-        assert!(run([2, 2, 2]) == one && run([3, 1, 2]) == one);
+        for config in [sharded(8), privileged(), real()] {
+            let one = run(&config, [1, 1, 1]);
+            assert!(run(&config, [2, 2, 2]) == one && run(&config, [3, 1, 2]) == one);
+        }
     }
 
     #[test]

@@ -7,8 +7,8 @@ use supple::config::Config;
 use supple::estimate::contact::{ContactNetwork, INPUTS};
 use supple::mujoco::{self, Data, Model};
 use supple::network::Scratch;
-use supple::policy::Policy;
 use supple::policy::onnx;
+use supple::policy::{InferenceBuffers, Policy};
 use supple::robot::Robot;
 use supple::scenario::catalog::{DEFAULTS, Scenario};
 use supple::scenario::session::{Act, AgentCache, Input, PushUnit, SavedSession, SceneKind, Setup, Writer};
@@ -147,6 +147,7 @@ fn policies() -> Vec<Vec<u8>> {
 fn policy(input: &[u8]) -> bool {
     let Ok(policy) = Policy::from_bytes(input, Path::new("fuzz")) else { return false };
     assert!(!policy.metadata_json().is_empty() && !onnx::export(&policy).is_empty());
+    policy.joint_targets(&vec![0.0; policy.layout().length()], &mut InferenceBuffers::default());
     true
 }
 

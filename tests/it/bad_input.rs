@@ -6,8 +6,8 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 
 use crate::support::{
-    complaint, metrics, program, refused, repository, robot, run, small_config_file, standing_policy, success,
-    with_input,
+    complaint, fails, metrics, program, refused, repository, robot, run, success, with_input, with_policy,
+    with_small_config,
 };
 
 fn trained(folder: &Path, out: &str, more: &[&str]) {
@@ -16,8 +16,7 @@ fn trained(folder: &Path, out: &str, more: &[&str]) {
 
 #[test]
 fn exports_follow_links_and_never_replace_devices() {
-    let folder = tempfile::tempdir().unwrap();
-    standing_policy().save(&folder.path().join("p.safetensors")).unwrap();
+    let folder = with_policy();
     let export =
         |out: &str| run("policy", folder.path(), &["export", "p.safetensors", "--format", "onnx", "--out", out]);
     assert!(export("p.onnx").status.success());
@@ -26,9 +25,8 @@ fn exports_follow_links_and_never_replace_devices() {
         assert!(export(stdout).stdout == onnx, "{stdout}");
     }
     std::os::unix::fs::symlink("/dev/full", folder.path().join("full.onnx")).unwrap();
-    let output = export("full.onnx");
-    assert_eq!(output.status.code(), Some(2));
-    assert!(complaint(&output).contains("No space left"), "{}", complaint(&output));
+    let full = ["export", "p.safetensors", "--format", "onnx", "--out", "full.onnx"];
+    fails("policy", folder.path(), &full, "No space left");
     assert!(folder.path().join("full.onnx").is_symlink());
     // Nothing else came to be, not beside a device either.
     let names = std::fs::read_dir(folder.path()).unwrap().count();
@@ -47,15 +45,18 @@ fn numbers_out_of_range_are_reported_with_their_line() {
     assert_eq!(output.status.code(), Some(2));
     assert_eq!(String::from_utf8_lossy(&output.stdout).lines().count(), 1);
     assert!(complaint(&output).contains("line 2: the joint target of FR_hip is"), "{}", complaint(&output));
-    let endless = vec![b'1'; 8 << 20];
-    let output = with_input("policy", folder.path(), &["run", "compliant"], &endless);
-    assert!(complaint(&output).contains("line 1: it has more than the 1048576 bytes"), "{}", complaint(&output));
+    for (input, words) in [
+        (vec![b'1'; 8 << 20], "line 1: it has more than the 1048576 bytes"),
+        (b"[1, 2]\n".to_vec(), "line 1: 2 numbers, expected 83"),
+    ] {
+        let output = with_input("policy", folder.path(), &["run", "compliant"], &input);
+        assert!(output.status.code() == Some(2) && complaint(&output).contains(words), "{}", complaint(&output));
+    }
 }
 
 #[test]
 fn robots_that_exhaust_memory_are_refused() {
-    let folder = tempfile::tempdir().unwrap();
-    small_config_file(folder.path());
+    let folder = with_small_config();
     let whole = std::fs::read_to_string(robot("quadruped.xml")).unwrap();
     std::os::unix::fs::symlink(robot("assets"), folder.path().join("assets")).unwrap();
     let with = |before: &str, text: &str| {
@@ -65,23 +66,12 @@ fn robots_that_exhaust_memory_are_refused() {
     let arguments = ["--config", "small.yaml", "--set", "robot.model=r.xml", "--samples", "256", "--out", "x"];
     let fields: String =
         (0..100).map(|k| format!("<hfield name='h{k}' nrow='4096' ncol='4096' size='1 1 1 1'/>")).collect();
-    let attributes: String = (0..50_000).map(|k| format!(" a{k}=''")).collect();
+    let wide = "<hfield name='h' nrow='2147483647' ncol='2' size='1 1 1 1'/>";
     for (before, text, words) in [
-        (
-            "<worldbody",
-            format!("<asset>{}</asset>", "<hfield name='h' nrow='2147483647' ncol='2' size='1 1 1 1'/>"),
-            "nrow is",
-        ),
+        ("<worldbody", format!("<asset>{wide}</asset>"), "nrow is"),
         // Each within the limits, all of them 6.7 GB.
         ("<worldbody", format!("<asset>{fields}</asset>"), "robot"),
         ("</worldbody", "<geom size='1'/>".repeat(100_000), "elements"),
-        ("</worldbody", format!("<geom{attributes}/>"), "attributes"),
-        ("<worldbody", "<custom><numeric name='n' size='2147483647'/></custom>".into(), "size is"),
-        (
-            "</worldbody",
-            "<body><composite type='particle' count='46 46 46' spacing='1'><geom size='.1'/></composite></body>".into(),
-            "count is",
-        ),
     ] {
         with(before, &text);
         refused("train", folder.path(), &arguments, words);
@@ -99,8 +89,7 @@ fn robots_that_exhaust_memory_are_refused() {
 
 #[test]
 fn a_run_is_one_thing() {
-    let folder = tempfile::tempdir().unwrap();
-    small_config_file(folder.path());
+    let folder = with_small_config();
     trained(folder.path(), "run", &[]);
     trained(folder.path(), "other", &["--seed", "1"]);
     let at = |name: &str| folder.path().join(name);
@@ -149,8 +138,7 @@ fn paths_that_are_not_utf8_are_refused() {
 
 #[test]
 fn sizes_that_nobody_meant_are_refused_before_they_are_taken() {
-    let folder = tempfile::tempdir().unwrap();
-    small_config_file(folder.path());
+    let folder = with_small_config();
     let set = |changes: &[&str], words: &str| {
         let mut arguments = vec!["--config", "small.yaml", "--out", "x"];
         arguments.extend(changes.iter().flat_map(|change| ["--set", change]));
@@ -182,19 +170,13 @@ fn ctrl_c_while_a_run_is_set_up_stops_it() {
 
 #[test]
 fn errors_name_file_line_and_key_once() {
-    let folder = tempfile::tempdir().unwrap();
-    small_config_file(folder.path());
+    let folder = with_small_config();
     let write = |name: &str, text: &[u8]| std::fs::write(folder.path().join(name), text).unwrap();
     write("float.yaml", b"base: small.yaml\nrun:\n  samples: 2e7\n");
-    write("empty.yaml", b"");
-    write("tab.yaml", b"base: small.yaml\nppo:\n\tepochs: 3\n");
     write("utf16.yaml", b"\xff\xfeb\0a\0s\0e\0");
-    write("deep.yaml", format!("base: small.yaml\nppo: {}", "[".repeat(100_000)).as_bytes());
     write("escape.yaml", "base: \"\\e[31mred\"\n".as_bytes());
     write("robot.yaml", b"base: small.yaml\nrobot: {model: nowhere/robot.xml}\n");
-    write("unknown.yaml", b"base: small.yaml\nsimulation: {latencyy_s: 0.03}\n");
     write("negative.yaml", b"base: small.yaml\nepisode: {walking_s: -0.3}\n");
-    write("rates.yaml", b"base: small.yaml\nsimulation: {policy_rate_hz: 70}\n");
     // What it is, and not that there is no policy of this name.
     refused("policy", folder.path(), &["show", "/dev/zero"], "policy /dev/zero: it is a device");
     for (name, words) in [
@@ -202,17 +184,12 @@ fn errors_name_file_line_and_key_once() {
             "float.yaml",
             "config float.yaml, line 3: run.samples: invalid type: floating point `20000000.0`, expected a whole number",
         ),
-        ("empty.yaml", "empty.yaml: it is empty"),
-        ("tab.yaml", "tab.yaml, line 3: it begins with a tab"),
         ("utf16.yaml", "not text in UTF-8"),
-        ("deep.yaml", "deep.yaml: it has more than 10000 brackets"),
         ("escape.yaml", "\\u001b[31mred"),
         ("/dev/zero", "it is a device"),
         ("nowhere.yaml", "nowhere.yaml"),
         ("robot.yaml", "nowhere/robot.xml"),
-        ("unknown.yaml", "latencyy_s"),
         ("negative.yaml", "episode.walking_s is -0.3, expected at least one policy step"),
-        ("rates.yaml", "a multiple of policy_rate_hz (70 Hz)"),
     ] {
         let complaint = refused("train", folder.path(), &["--config", name, "--out", "x"], words);
         assert!(!complaint.contains('\u{1b}'));

@@ -1,28 +1,29 @@
 //! What goes wrong around the programs, and what a user sees then.
 
 use std::io::Read;
-use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
+use tempfile::TempDir;
+
 use crate::support::{
-    assert_same, complaint, metrics, refused, repository, run, small_config, small_config_file, success,
+    assert_same, complaint, metrics, refused, repository, run, small_config, success, with_small_config,
 };
 
-/// Starts a long training run and waits for its folder.
-fn training(folder: &Path) -> Child {
-    small_config_file(folder);
+/// Starts a long training run in a folder of its own and waits for its first metrics.
+fn training() -> (TempDir, Child) {
+    let folder = with_small_config();
     let mut child = Command::new(crate::support::program("train"))
         .args(["--config", "small.yaml", "--samples", "100000000", "--threads", "1", "--out", "run"])
-        .current_dir(folder)
+        .current_dir(folder.path())
         .stderr(Stdio::piped())
         .spawn()
         .unwrap();
-    while !folder.join("run/metrics.jsonl").exists() {
+    while !folder.path().join("run/metrics.jsonl").exists() {
         assert!(child.try_wait().unwrap().is_none(), "train ended by itself");
         std::thread::sleep(Duration::from_millis(20));
     }
-    child
+    (folder, child)
 }
 
 fn send(signal: &str, child: &Child) {
@@ -60,8 +61,7 @@ fn unwritable_checkpoint_leaves_the_one_before() {
 
 #[test]
 fn a_folder_that_is_removed_under_a_run_ends_it_with_one_line() {
-    let folder = tempfile::tempdir().unwrap();
-    let child = training(folder.path());
+    let (folder, child) = training();
     // More than once: the run may be writing into it.
     while std::fs::remove_dir_all(folder.path().join("run")).is_err() {}
     let output = child.wait_with_output().unwrap();
@@ -72,8 +72,7 @@ fn a_folder_that_is_removed_under_a_run_ends_it_with_one_line() {
 #[test]
 fn ctrl_c_and_sigterm_finish_the_iteration_and_say_how_to_resume() {
     for signal in ["-INT", "-TERM"] {
-        let folder = tempfile::tempdir().unwrap();
-        let child = training(folder.path());
+        let (folder, child) = training();
         refused("train", folder.path(), &["--resume", "run"], "another process is training in run");
         send(signal, &child);
         let output = child.wait_with_output().unwrap();
@@ -85,8 +84,7 @@ fn ctrl_c_and_sigterm_finish_the_iteration_and_say_how_to_resume() {
 
 #[test]
 fn training_goes_on_when_nobody_reads_its_words() {
-    let folder = tempfile::tempdir().unwrap();
-    let mut child = training(folder.path());
+    let (_folder, mut child) = training();
     let mut words = child.stderr.take().unwrap();
     send("-INT", &child);
     // The first words, then the pipe is closed.
@@ -97,8 +95,7 @@ fn training_goes_on_when_nobody_reads_its_words() {
 
 #[test]
 fn a_start_that_was_cut_off_is_cleared_away_by_the_next() {
-    let folder = tempfile::tempdir().unwrap();
-    small_config_file(folder.path());
+    let folder = with_small_config();
     let left = folder.path().join(".run.starting-abc");
     std::fs::create_dir(&left).unwrap();
     // Another owner's folder under such a name.

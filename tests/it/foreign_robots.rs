@@ -7,127 +7,13 @@ use std::sync::Arc;
 use supple::config::Config;
 use supple::mujoco::{Object, VERSION};
 use supple::robot::{JOINTS, Robot, joint_name};
-use supple::sim::{Conditions, Ground, Scene, Sim};
+use supple::sim::{Ground, Scene};
 
-use crate::support::{run, success};
-
-/// A quadruped of 13.6 kg: thighs and calves of 0.22 m, feet of 20 mm, motors of 25 N·m, knees bent by 1.2 rad.
-#[derive(Clone)]
-struct Foreign {
-    compiler: &'static str,
-    /// Sections before the world.
-    sections: &'static str,
-    trunk: &'static str,
-    /// Elements of the trunk beside its legs.
-    parts: &'static str,
-    /// Attributes of every joint.
-    joint: &'static str,
-    ranges: [&'static str; 3],
-    /// The foot, in the frame of the calf.
-    foot: &'static str,
-    /// Attributes of every calf's body.
-    calf: &'static str,
-    /// An actuator of a joint, with `{}` for its name.
-    actuator: &'static str,
-    /// Sections after the actuators.
-    after: &'static str,
-}
-
-/// Height of the trunk: 0.44 cos 0.6 + 0.02 \[m\].
-const HEIGHT: f64 = 0.383_147_7;
+use crate::foreign::{Foreign, HEIGHT, LEGS, described, foreign, height, load, read, standing};
+use crate::support::{run, success, with_small_config};
 
 /// Height of the foot's centre, 0.44 cos 0.6 \[m\].
 const TO_FOOT: f64 = 0.363_147_7;
-
-const LEGS: [(&str, f64, f64); 4] = [("FL", 0.2, 0.06), ("FR", 0.2, -0.06), ("RL", -0.2, 0.06), ("RR", -0.2, -0.06)];
-
-const KEY: &str =
-    "<keyframe><key name='home' qpos='0 0 1 1 0 0 0  0 .6 -1.2  0 .6 -1.2  0 .6 -1.2  0 .6 -1.2'/></keyframe>";
-
-fn foreign() -> Foreign {
-    Foreign {
-        compiler: "angle='radian'",
-        sections: "",
-        trunk: "name='base'",
-        parts: "",
-        joint: "",
-        ranges: ["range='-0.7 0.7'", "range='-1 3'", "range='-2.6 -0.5'"],
-        foot: "<geom name='{}_foot' size='0.02' pos='0 0 -0.22'/>",
-        calf: "pos='0 0 -0.22'",
-        actuator: "<motor joint='{}' ctrlrange='-25 25'/>",
-        after: KEY,
-    }
-}
-
-impl Foreign {
-    /// Writes the robot, one element on a line from line 5.
-    fn mjcf(&self) -> String {
-        let (mut bodies, mut actuators) = (String::new(), String::new());
-        let Foreign { joint, ranges: [hip, thigh, calf], .. } = self;
-        for (leg, x, y) in LEGS {
-            bodies.push_str(&format!(
-                "<body name='{leg}_hip' pos='{x} {y} 0'>\n\
-                 <inertial pos='0 0 0' mass='0.4' diaginertia='0.0006 0.0006 0.0006'/>\n\
-                 <joint name='{leg}_hip_joint' axis='1 0 0' {hip} {joint}/>\n\
-                 <body name='{leg}_thigh' pos='0 {side} 0'>\n\
-                 <inertial pos='0 0 -0.1' mass='0.7' diaginertia='0.004 0.004 0.0005'/>\n\
-                 <joint name='{leg}_thigh_joint' axis='0 1 0' {thigh} {joint}/>\n\
-                 <geom type='capsule' size='0.02' fromto='0 0 -0.04 0 0 -0.18'/>\n\
-                 <body name='{leg}_calf' {on}>\n\
-                 <inertial pos='0 0 -0.1' mass='0.3' diaginertia='0.002 0.002 0.0001'/>\n\
-                 <joint name='{leg}_calf_joint' axis='0 1 0' {calf} {joint}/>\n\
-                 {foot}\n\
-                 </body></body></body>\n",
-                side = 1.4 * y,
-                on = self.calf,
-                foot = self.foot.replace("{}", leg),
-            ));
-            for part in ["hip", "thigh", "calf"] {
-                actuators.push_str(&self.actuator.replace("{}", &format!("{leg}_{part}_joint")));
-            }
-        }
-        format!(
-            "<mujoco>\n<compiler {}/>\n{}<worldbody>\n<body {} pos='0 0 1'><freejoint/>\n\
-             <inertial pos='0 0 0' mass='8' diaginertia='0.04 0.1 0.12'/>\n<geom type='box' size='0.22 0.07 0.05'/>{}\n{bodies}\
-             </body></worldbody>\n<actuator>{actuators}</actuator>\n{}\n</mujoco>\n",
-            self.compiler, self.sections, self.trunk, self.parts, self.after
-        )
-    }
-
-    /// Reads the robot.
-    fn robot(&self) -> Arc<Robot> {
-        read(&self.mjcf()).unwrap_or_else(|error| panic!("{error}"))
-    }
-
-    /// Returns why the robot is refused.
-    fn complaint(&self) -> String {
-        read(&self.mjcf()).unwrap_err()
-    }
-}
-
-fn read(text: &str) -> Result<Arc<Robot>, String> {
-    load(&[("robot.xml", text)])
-}
-
-/// Reads a robot with a YAML description.
-fn described(robot: &Foreign, yaml: &str) -> Result<Arc<Robot>, String> {
-    load(&[("robot.xml", &robot.mjcf()), ("robot.yaml", &format!("mjcf: robot.xml\n{yaml}\n"))])
-}
-
-/// Writes files, and reads a robot from the last of them.
-fn load(files: &[(&str, &str)]) -> Result<Arc<Robot>, String> {
-    let folder = tempfile::tempdir().unwrap();
-    let write = |(name, text): &(&str, &str)| {
-        let path = folder.path().join(name);
-        std::fs::write(&path, text).map(|()| path).unwrap()
-    };
-    let paths: Vec<_> = files.iter().map(write).collect();
-    Robot::load(paths[paths.len() - 1].to_str().unwrap()).map_err(|error| error.to_string())
-}
-
-fn height(robot: &Robot) -> f64 {
-    robot.standing_height_m(&robot.nominal_pose)
-}
 
 fn assert_usual(robot: &Robot, torque: f64) {
     assert!((robot.mass_kg - 13.6).abs() < 1e-9, "{}", robot.mass_kg);
@@ -395,11 +281,7 @@ fn feet_of_any_shape_stand_on_their_lowest_point() {
         assert_eq!(height(&named), height(&found), "{foot}");
 
         let config = Config::load("fast").unwrap().fitted_to(&found).unwrap();
-        let scene = Scene::flat(Arc::clone(&found), config.simulation.timestep_s());
-        let mut sim = Sim::new(&scene, &config.simulation, 0.2).unwrap();
-        let conditions = Conditions { gravity: [0.0, 0.0, -9.81], friction: 0.8, encoder_bias: [0.0; 12] };
-        let pose = config.action.nominal_pose_rad.joints();
-        sim.reset(conditions, &pose).unwrap();
+        let (mut sim, pose) = standing(Arc::clone(&found), &config, 0.2);
         for _ in 0..60 {
             assert_eq!(sim.step(&pose, &mut ()).unwrap().fall, None, "{foot}");
         }
@@ -437,6 +319,9 @@ fn feet_that_cannot_be_are_refused_by_name() {
             "foot 'FL_foot' of leg FR is not below the calf of that leg, but on FL_calf",
         ),
         ("{FR: FR_foot, FL: FR_foot, RR: RR_foot, RL: RL_foot}", "foot 'FR_foot'"),
+        // It lies below one of the calves, and is not called foreign.
+        ("{FR: FR_foot, FL: FL_foot, RR: RR_foot, RL: RR_foot}", "foot 'RR_foot'"),
+        ("{FR: FR_foot, FL: FL_foot, RR: RR_foot, RL: RR_foot}", "named twice, for the legs RR and RL"),
         (
             "{FR: FR_feet, FL: FL_foot, RR: RR_foot, RL: RL_foot}",
             "no geometry 'FR_feet' for the foot of leg FR; its geometries with names are: FL_foot",
@@ -462,13 +347,6 @@ fn feet_that_cannot_be_are_refused_by_name() {
     assert!(twice.contains("joint 'FL_hip_joint' is named twice, as FR_hip and FL_hip"), "{twice}");
     let slide = Foreign { joint: "type='slide'", ..foreign() }.complaint();
     assert!(slide.contains("'FR_hip_joint', FR_hip, is no hinge"), "{slide}");
-}
-
-#[test]
-fn one_geometry_is_the_foot_of_one_leg() {
-    // A foot named for two legs, though it lies below both calves of none: said so, not called foreign.
-    let found = described(&foreign(), "feet: {FR: FR_foot, FL: FL_foot, RR: RR_foot, RL: RR_foot}").unwrap_err();
-    assert!(found.contains("foot 'RR_foot'") && found.contains("named twice, for the legs RR and RL"), "{found}");
 }
 
 #[test]
@@ -548,12 +426,7 @@ fn physics_is_fast_enough_for_light_joints() {
     let fitted = config.fitted_to(&read(&light).unwrap()).unwrap();
     assert!(fitted.simulation.physics_rate_hz > 240, "{:?}", fitted.simulation);
     // It stands still rather than shaking.
-    let robot = read(&light).unwrap();
-    let scene = Scene::flat(robot, fitted.simulation.timestep_s());
-    let mut sim = Sim::new(&scene, &fitted.simulation, 0.02).unwrap();
-    let conditions = Conditions { gravity: [0.0, 0.0, -9.81], friction: 0.8, encoder_bias: [0.0; 12] };
-    let pose = fitted.action.nominal_pose_rad.joints();
-    sim.reset(conditions, &pose).unwrap();
+    let (mut sim, pose) = standing(read(&light).unwrap(), &fitted, 0.02);
     let mut power = 0.0;
     for step in 0..120 {
         let summary = sim.step(&pose, &mut ()).unwrap();
@@ -843,8 +716,8 @@ fn a_urdf_that_cannot_be_read_is_refused_by_its_lines() {
 
 #[test]
 fn programs_take_a_urdf_and_robots_without_limits() {
-    let folder = tempfile::tempdir().unwrap();
-    let write = |name: &str, text: &str| std::fs::write(Path::new(folder.path()).join(name), text).unwrap();
+    let folder = with_small_config();
+    let write = |name: &str, text: &str| std::fs::write(folder.path().join(name), text).unwrap();
     write("robot.urdf", &urdf("<cylinder radius='0.02' length='0.02'/>"));
     write("free.xml", &Foreign { ranges: [""; 3], ..foreign() }.mjcf());
     for (robot, words) in [("robot.urdf", "feet: cylinders"), ("free.xml", "none ")] {
@@ -853,7 +726,6 @@ fn programs_take_a_urdf_and_robots_without_limits() {
         assert!(text.contains(words) && text.contains("13.600 kg"), "{text}");
     }
     // A policy's file states the ranges of its robot's joints, infinite ones too.
-    crate::support::small_config_file(folder.path());
     success(run(
         "train",
         folder.path(),

@@ -3,6 +3,7 @@
 mod bad_input;
 mod described;
 mod faults;
+mod foreign;
 mod foreign_robots;
 mod kill;
 mod killing;

@@ -9,6 +9,8 @@ use supple::robot::{JOINTS, Joints, PARTS, Robot, joint_name, same_in_every_leg}
 use supple::sim::{Conditions, Parts, Scene, Sim, StepObserver};
 use supple::util::random::{Purpose, stream};
 
+use crate::foreign::standing;
+
 fn scene() -> Scene {
     Scene::flat(Robot::load("go1").unwrap(), 1.0 / 240.0)
 }
@@ -50,23 +52,10 @@ fn joints_come_in_unitrees_order_with_its_limits_and_no_damping() {
 }
 
 #[test]
-fn every_element_has_a_name() {
-    for model in [scene().compile().unwrap(), scene().compile_visual().unwrap()] {
-        for kind in [Object::Body, Object::Joint, Object::Geom, Object::Site, Object::Actuator] {
-            for id in 0..model.count(kind) {
-                assert!(!model.name(kind, id).is_empty(), "{kind:?} {id} has no name");
-            }
-        }
-    }
-}
-
-#[test]
 fn the_robot_stands_where_the_model_says_under_kp_40_and_kd_1() {
     let config = Config::load("compliant").unwrap();
-    let mut sim = Sim::new(&scene(), &config.simulation, 0.2).unwrap();
-    let target = same_in_every_leg([0.0, 0.72, -1.44]);
-    let conditions = Conditions { gravity: [0.0, 0.0, -9.81], friction: 0.8, encoder_bias: [0.0; 12] };
-    sim.reset(conditions, &target).unwrap();
+    let (mut sim, target) = standing(Robot::load("go1").unwrap(), &config, 0.2);
+    assert_eq!(target, same_in_every_leg([0.0, 0.72, -1.44]));
     let start = sim.state();
     for _ in 0..120 {
         assert_eq!(sim.step(&target, &mut ()).unwrap().fall, None);

@@ -4,73 +4,52 @@ use std::path::Path;
 use std::process::Command;
 
 use serde_json::Value;
-use supple::config::{Config, LearnerKind};
 use supple::policy::{Agent, Policy, shipped};
 use supple::robot::Robot;
 use supple::train::checkpoint::Checkpoint;
 
 use crate::support::{
-    assert_same, complaint, metrics, program, refused, repository, robot, run, small_config_file, standing_policy,
-    success,
+    assert_same_run, complaint, fails, metrics, program, refused, repository, robot, run, small_config,
+    standing_policy, success, with_policy, with_small_config,
 };
-
-/// Writes a configuration for each learner into a folder, with layers wide enough for candle to hand their products out to
-/// threads if it may.
-fn learners(folder: &Path) -> [&'static str; 2] {
-    small_config_file(folder);
-    ["fused", "candle"].map(|learner| {
-        let wide = "hidden_layers: [128, 16], minibatch_size: 128";
-        let text = format!("base: small.yaml\nppo: {{learner: {learner}, {wide}}}\n");
-        std::fs::write(folder.join(format!("{learner}.yaml")), text).unwrap();
-        learner
-    })
-}
 
 fn train(folder: &Path, arguments: &[&str]) {
     success(run("train", folder, arguments));
 }
 
 #[test]
-fn metrics_do_not_depend_on_the_number_of_threads() {
-    let folder = tempfile::tempdir().unwrap();
-    for learner in learners(folder.path()) {
+fn any_number_of_threads_and_a_resumption_give_the_same_bits() {
+    let folder = with_small_config();
+    for learner in ["fused", "candle"] {
+        // Layers wide enough for candle to hand their products out to threads if it may.
+        let config = format!("{learner}.yaml");
+        let text =
+            format!("base: small.yaml\nppo: {{learner: {learner}, hidden_layers: [128, 16], minibatch_size: 128}}\n");
+        std::fs::write(folder.path().join(&config), text).unwrap();
         let [one, two, three] = ["1", "2", "3"].map(|threads| {
-            let (config, out) = (format!("{learner}.yaml"), format!("{learner}-{threads}"));
+            let out = format!("{learner}-{threads}");
             let arguments = ["--config", &config, "--samples", "5120", "--threads", threads, "--out", &out];
             // Of candle's own doing are as many parts of a product as this says.
             let mut train = Command::new(program("train"));
             let train = train.args(arguments).current_dir(folder.path()).env("RAYON_NUM_THREADS", threads);
-            let output = train.output().unwrap();
-            assert!(output.status.success(), "{}", complaint(&output));
-            metrics(&folder.path().join(out))
+            success(train.output().unwrap());
+            folder.path().join(out)
         });
-        assert_eq!(one.len(), 20);
-        assert!(one.iter().any(|line| line["falls"].as_u64() > Some(0)), "the test should see falls");
-        assert!(one.iter().any(|line| line["push_fraction"].as_f64() > Some(0.0)), "the test should see pushes");
-        assert_same(&one, &two);
-        assert_same(&one, &three);
-    }
-}
-
-#[test]
-fn a_resumed_run_gives_the_bits_of_an_uninterrupted_one() {
-    let folder = tempfile::tempdir().unwrap();
-    for learner in learners(folder.path()) {
-        let (config, halves) = (format!("{learner}.yaml"), format!("{learner}-halves"));
-        train(folder.path(), &["--config", &config, "--samples", "5120", "--out", learner]);
-        train(folder.path(), &["--config", &config, "--samples", "2560", "--out", &halves]);
-        train(folder.path(), &["--resume", &halves, "--samples", "5120", "--threads", "1"]);
-        let (whole, halves) = (folder.path().join(learner), folder.path().join(halves));
-        assert_same(&metrics(&whole), &metrics(&halves));
-        let policy = |run: &Path| std::fs::read(run.join("policy.safetensors")).unwrap();
-        assert!(policy(&whole) == policy(&halves), "the policies differ");
+        let seen = metrics(&one);
+        assert_eq!(seen.len(), 20);
+        assert!(seen.iter().any(|line| line["falls"].as_u64() > Some(0)), "the test should see falls");
+        assert!(seen.iter().any(|line| line["push_fraction"].as_f64() > Some(0.0)), "the test should see pushes");
+        train(folder.path(), &["--config", &config, "--samples", "2560", "--out", "halves"]);
+        train(folder.path(), &["--resume", "halves", "--samples", "5120", "--threads", "1"]);
+        let halves = folder.path().join("halves");
+        [&two, &three, &halves].iter().for_each(|other| assert_same_run(&one, other));
+        std::fs::remove_dir_all(halves).unwrap();
     }
 }
 
 #[test]
 fn policies_along_the_way_are_those_of_shorter_runs() {
-    let folder = tempfile::tempdir().unwrap();
-    small_config_file(folder.path());
+    let folder = with_small_config();
     let start = ["--config", "small.yaml", "--set", "run.keep_policy_every=700", "--samples"];
     train(folder.path(), &[&start[..], &["1536", "--out", "long"]].concat());
     let kept = |samples: u64| Policy::load(&folder.path().join(format!("long/policy-{samples}.safetensors"))).unwrap();
@@ -84,28 +63,10 @@ fn policies_along_the_way_are_those_of_shorter_runs() {
 }
 
 #[test]
-fn both_learners_make_the_same_of_the_first_batch() {
-    let folder = tempfile::tempdir().unwrap();
-    let [(fused, rollout), (candle, same_rollout)] = learners(folder.path()).map(|learner| {
-        train(folder.path(), &["--config", &format!("{learner}.yaml"), "--samples", "256", "--out", learner]);
-        let mut metrics = metrics(&folder.path().join(learner));
-        (metrics[0].as_object_mut().unwrap().remove("learner").unwrap(), metrics)
-    });
-    assert_same(&rollout, &same_rollout);
-    for (key, fused) in fused.as_object().unwrap() {
-        let (fused, candle) = (fused.as_f64().unwrap(), candle[key].as_f64().unwrap());
-        assert!((fused - candle).abs() <= 1e-3 * fused.abs(), "{key}: {fused} and {candle}");
-    }
-    let config =
-        |learner: &str| Config::load(folder.path().join(learner).join("config.yaml").to_str().unwrap()).unwrap();
-    assert_eq!(["candle", "fused"].map(|name| config(name).ppo.learner), [LearnerKind::Candle, LearnerKind::Fused]);
-}
-
-#[test]
 fn resuming_with_another_configuration_names_the_keys() {
-    let folder = tempfile::tempdir().unwrap();
-    let small = std::fs::read_to_string(small_config_file(folder.path())).unwrap();
-    std::fs::write(folder.path().join("other.yaml"), small.replacen("epochs: 2", "epochs: 3", 1)).unwrap();
+    let folder = with_small_config();
+    std::fs::write(folder.path().join("other.yaml"), small_config().to_yaml().replacen("epochs: 2", "epochs: 3", 1))
+        .unwrap();
     let arguments = ["--config", "small.yaml", "--samples", "256", "--out", "run"];
     success(run("train", folder.path(), &arguments));
     let cases: [(&str, &[&str], Option<&str>); 5] = [
@@ -139,9 +100,8 @@ fn resuming_with_another_configuration_names_the_keys() {
 #[test]
 fn run_of_another_robot_needs_that_robot() {
     let folder = tempfile::tempdir().unwrap();
-    let small = std::fs::read_to_string(small_config_file(folder.path())).unwrap();
     let xml = robot("quadruped.xml");
-    let own = small.replacen("model: go1", &format!("model: {}", xml.display()), 1);
+    let own = small_config().to_yaml().replacen("model: go1", &format!("model: {}", xml.display()), 1);
     std::fs::write(folder.path().join("own.yaml"), own).unwrap();
     train(folder.path(), &["--config", "own.yaml", "--samples", "256", "--out", "run"]);
     for arguments in [&["verify", "run", "--config", "own.yaml"][..], &["card", "run"]] {
@@ -177,8 +137,7 @@ fn run_of_another_robot_needs_that_robot() {
 
 #[test]
 fn a_damaged_checkpoint_falls_back_to_the_one_before() {
-    let folder = tempfile::tempdir().unwrap();
-    small_config_file(folder.path());
+    let folder = with_small_config();
     let arguments = ["--config", "small.yaml", "--samples", "1536", "--out", "run"];
     let output = run("train", folder.path(), &arguments);
     assert!(output.status.success());
@@ -214,10 +173,9 @@ fn a_damaged_checkpoint_falls_back_to_the_one_before() {
 
 #[test]
 fn train_contact_is_reproducible_and_refuses_bad_input() {
-    let folder = tempfile::tempdir().unwrap();
-    standing_policy().save(&folder.path().join("standing.safetensors")).unwrap();
+    let folder = with_policy();
     let train = |out: &str| {
-        let arguments = ["--policy", "standing.safetensors", "--episodes", "5", "--seed", "7", "--out", out];
+        let arguments = ["--policy", "p.safetensors", "--episodes", "5", "--seed", "7", "--out", out];
         let output = success(run("train_contact", folder.path(), &arguments));
         let text = String::from_utf8_lossy(&output.stdout).into_owned();
         assert!(text.contains("held out: 1 episodes") && text.contains("\nFR "), "{text}");
@@ -227,19 +185,16 @@ fn train_contact_is_reproducible_and_refuses_bad_input() {
     let cases: [(&[&str], &str); 3] = [
         (&["--policy", "nobody"], "there is no policy 'nobody'"),
         (&["--episodes", "4"], "4 is not in 5..=1000"),
-        (&["--policy", "standing.safetensors", "--out", "nowhere/c.safetensors"], "there is no folder nowhere"),
+        (&["--policy", "p.safetensors", "--out", "nowhere/c.safetensors"], "there is no folder nowhere"),
     ];
     for (arguments, expected) in cases {
-        let output = run("train_contact", folder.path(), arguments);
-        assert_eq!(output.status.code(), Some(2), "{arguments:?}");
-        assert!(complaint(&output).contains(expected), "{}", complaint(&output));
+        fails("train_contact", folder.path(), arguments, expected);
     }
 }
 
 #[test]
 fn policy_program_shows_verifies_and_exports() {
-    let folder = tempfile::tempdir().unwrap();
-    standing_policy().save(&folder.path().join("p.safetensors")).unwrap();
+    let folder = with_policy();
     let shown = run("policy", folder.path(), &["show", "p.safetensors"]);
     assert!(String::from_utf8_lossy(&shown.stdout).contains("RL_calf     -1.4400"));
     let json: Value =
@@ -248,10 +203,6 @@ fn policy_program_shows_verifies_and_exports() {
     success(run("policy", folder.path(), &["verify", "p.safetensors"]));
     let arguments = ["export", "p.safetensors", "--format", "onnx", "--out", "p.onnx"];
     success(run("policy", folder.path(), &arguments));
-    let onnx = std::fs::read(folder.path().join("p.onnx")).unwrap();
-    for name in ["observation", "joint_target", "Gemm", "Elu"] {
-        assert!(onnx.windows(name.len()).any(|window| window == name.as_bytes()), "{name}");
-    }
     // Its own description is written again; one made by hand is not, nor is the network written to its place.
     success(run("policy", folder.path(), &arguments));
     std::fs::write(folder.path().join("p.yaml"), "onnx: mine.onnx\n").unwrap();

@@ -1,84 +1,47 @@
 //! Training on any quadruped: robots described by a few numbers, in the style of several makers.
 
-use std::fmt::Write as _;
 use std::path::Path;
 
 use supple::config::Config;
 use supple::robot::{Losses, Robot, joint_name};
 use supple::sim::{Conditions, Scene, Sim};
 
-use crate::support::{complaint, refused, run, small_config_file, success};
+use crate::foreign::{Foreign, LEGS, foreign, standing};
+use crate::support::{complaint, refused, run, success, with_small_config};
 
-/// A quadruped in the style of an ANYmal: joints LF_HAA and so on, legs that are straight at zero angles, 40 kg, servos.
-#[derive(Clone)]
-struct Robots {
-    legs: Vec<&'static str>,
-    joints: Vec<&'static str>,
-    free: &'static str,
-    foot: &'static str,
-    shank: &'static str,
-    thigh: &'static str,
-    assets: &'static str,
-    keyframe: &'static str,
-}
-
-fn anymal_like() -> Robots {
-    Robots {
-        legs: vec!["LF", "RF", "LH", "RH"],
-        joints: vec!["HAA", "HFE", "KFE"],
-        free: "<freejoint/>",
+/// A robot of 40 kg in the style of an ANYmal: legs that are straight at zero angles, no pose of its own, servos.
+fn anymal_like() -> Foreign {
+    Foreign {
+        sections: "<option integrator='implicitfast'/>\n",
+        trunk: "",
+        joint: "armature='0.1'",
+        ranges: ["range='-9 9'"; 3],
         foot: "<geom type='sphere' size='0.03' pos='0.08 0 -0.32'/>",
-        shank: "",
-        thigh: "",
-        assets: "",
-        keyframe: "",
+        actuator: "<position joint='{}' kp='100' forcerange='-80 80'/>",
+        after: "",
+        ..foreign()
     }
 }
 
-impl Robots {
-    fn mjcf(&self) -> String {
-        let (mut bodies, mut servos) = (String::new(), String::new());
-        for leg in &self.legs {
-            let x = if leg.ends_with('F') { 0.3 } else { -0.3 };
-            let y = if leg.starts_with('L') { 0.1 } else { -0.1 };
-            let mut ends = String::new();
-            for (index, joint) in self.joints.iter().enumerate() {
-                let (place, axis) = match index {
-                    0 => (format!("{x} {y} 0"), "1 0 0"),
-                    1 => (format!("0 {} 0", 0.6 * y), "0 1 0"),
-                    _ => (format!("0 {} -0.3", 0.6 * y), "0 1 0"),
-                };
-                write!(
-                    bodies,
-                    "<body pos='{place}'><inertial pos='0 0 -0.1' mass='1.5' diaginertia='0.02 0.02 0.005'/>\
-                     <joint name='{leg}_{joint}' axis='{axis}' range='-9 9' armature='0.1'/>"
-                )
-                .unwrap();
-                bodies.push_str(["", self.thigh, self.shank].get(index).unwrap_or(&""));
-                ends.push_str("</body>");
-                write!(servos, "<position joint='{leg}_{joint}' kp='100' forcerange='-80 80'/>").unwrap();
-            }
-            bodies.push_str(self.foot);
-            bodies.push_str(&ends);
-        }
-        format!(
-            "<mujoco><compiler angle='radian'/><option integrator='implicitfast'/><asset>{}</asset><worldbody><body pos='0 0 1'>{}\
-             <inertial pos='0 0 0' mass='22' diaginertia='0.4 1 1'/><geom type='box' size='0.3 0.1 0.1'/>{bodies}</body>\
-             </worldbody><actuator>{servos}</actuator>{}</mujoco>",
-            self.assets, self.free, self.keyframe
-        )
-    }
+/// Returns the text of a robot with joints LF_HAA and so on, and with bodies that have no names.
+fn text(robot: &Foreign) -> String {
+    let names =
+        [("_hip_joint", "_HAA"), ("_thigh_joint", "_HFE"), ("_calf_joint", "_KFE"), ("mass='8'", "mass='34.4'")];
+    let legs = [("'FL_", "'LF_"), ("'FR_", "'RF_"), ("'RL_", "'LH_"), ("'RR_", "'RH_")];
+    let text = names.iter().chain(&legs).fold(robot.mjcf(), |text, (from, to)| text.replace(from, to));
+    let mut parts = text.split("<body name='");
+    let first = parts.next().unwrap().to_owned();
+    parts.fold(first, |text, part| text + "<body" + part.split_once('\'').unwrap().1)
+}
 
-    fn write(&self, folder: &Path) {
-        std::fs::write(folder.join("robot.xml"), self.mjcf()).unwrap();
-    }
+fn write(folder: &Path, text: &str) {
+    std::fs::write(folder.join("robot.xml"), text).unwrap();
 }
 
 #[test]
 fn robot_without_pose_trains_with_bent_knees() {
-    let folder = tempfile::tempdir().unwrap();
-    small_config_file(folder.path());
-    anymal_like().write(folder.path());
+    let folder = with_small_config();
+    write(folder.path(), &text(&anymal_like()));
     let folder = folder.path();
     let told = success(run("policy", folder, &["robot", "robot.xml"]));
     let told = String::from_utf8(told.stdout).unwrap();
@@ -89,13 +52,13 @@ fn robot_without_pose_trains_with_bent_knees() {
     assert!(trained.status.success(), "{}", complaint(&trained));
     assert!(complaint(&trained).contains("knees bent to the rear"), "it says what it chose before it trains");
     let config = Config::load(folder.join("r/config.yaml").to_str().unwrap()).unwrap();
-    // Three times the Go1's 13.1 kg; both legs reach down less than 0.3 + 0.33 m.
+    // Three times the Go1's 13.1 kg; both legs reach down less than 0.22 + 0.33 m.
     let robot = config.robot.load().unwrap();
     let pose = config.action.nominal_pose_rad.joints();
     let height = robot.standing_height_m(&pose);
-    assert!((0.4..0.6).contains(&height), "{height}");
+    assert!((0.35..0.55).contains(&height), "{height}");
     // A foot 3 cm in radius is below its thigh joint.
-    for (leg, place) in robot.legs.iter().zip([0.3, 0.3, -0.3, -0.3]) {
+    for (leg, place) in robot.legs.iter().zip([0.2, 0.2, -0.2, -0.2]) {
         let foot = leg.foot_position([pose[0], pose[1], pose[2]]);
         assert!((foot.x - place).abs() < 0.002, "{foot}");
     }
@@ -129,7 +92,8 @@ fn a_robot_is_known_by_what_its_files_say_and_not_by_where_they_lie() {
     const TETRAHEDRON: &str = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n";
     let identity = |mesh: &str, fall_height_m: &str| {
         let folder = tempfile::tempdir().unwrap();
-        Robots { assets: "<mesh name='m' file='m.obj'/>", ..anymal_like() }.write(folder.path());
+        let sections = "<asset><mesh name='m' file='m.obj'/></asset>\n";
+        write(folder.path(), &text(&Foreign { sections, ..anymal_like() }));
         std::fs::write(folder.path().join("m.obj"), mesh).unwrap();
         let yaml = folder.path().join("robot.yaml");
         std::fs::write(&yaml, format!("mjcf: robot.xml\nmin_height_m: {fall_height_m}\n")).unwrap();
@@ -144,29 +108,28 @@ fn a_robot_is_known_by_what_its_files_say_and_not_by_where_they_lie() {
 #[test]
 fn non_quadruped_is_refused_in_one_line() {
     let folder = tempfile::tempdir().unwrap();
-    let robot = anymal_like();
+    let plain = text(&anymal_like());
+    let without_thighs = ["LF", "RF", "LH", "RH"].iter().fold(plain.clone(), |text, leg| {
+        let joint = format!("<joint name='{leg}_HFE' axis='0 1 0' range='-9 9' armature='0.1'/>");
+        text.replace(&joint, "").replace(&format!("<position joint='{leg}_HFE' kp='100' forcerange='-80 80'/>"), "")
+    });
+    const SIX: [(&str, f64, f64); 6] = [LEGS[0], LEGS[1], LEGS[2], LEGS[3], ("LM", 0.0, 0.06), ("RM", 0.0, -0.06)];
+    let legs = |legs| text(&Foreign { legs, ..anymal_like() });
     for (robot, words) in [
-        (Robots { legs: vec!["LF", "RF", "LH"], ..robot.clone() }, "no joint 'RR_hip'"),
+        (legs(&LEGS[..3]), "no joint 'RR_hip'"),
+        (legs(&SIX), "joints beside those of four legs: LM_HAA"),
+        (without_thighs, "no joint 'FR_thigh'"),
+        (plain.replace("<freejoint/>", ""), "<freejoint/>"),
+        (plain.replace("<worldbody>", "<asset><mesh name='m' file='nowhere.stl'/></asset><worldbody>"), "nowhere.stl"),
         (
-            Robots { legs: vec!["LF", "RF", "LH", "RH", "LM", "RM"], ..robot.clone() },
-            "joints beside those of four legs: LM_HAA",
-        ),
-        (Robots { joints: vec!["HAA", "KFE"], ..robot.clone() }, "no joint 'FR_thigh'"),
-        (Robots { free: "", ..robot.clone() }, "<freejoint/>"),
-        (
-            Robots { foot: "<geom size='0.01' contype='0' conaffinity='0'/>", ..robot.clone() },
-            "nothing on the calf of leg FR collides: put a shape where its foot is",
-        ),
-        (Robots { assets: "<mesh name='m' file='nowhere.stl'/>", ..robot.clone() }, "nowhere.stl"),
-        (
-            Robots {
-                keyframe: "<keyframe><key qpos='0 0 1 1 0 0 0  0 10 0  0 10 0  0 10 0  0 10 0'/></keyframe>",
-                ..robot.clone()
-            },
+            plain.replace(
+                "</mujoco>",
+                "<keyframe><key qpos='0 0 1 1 0 0 0  0 10 0  0 10 0  0 10 0  0 10 0'/></keyframe></mujoco>",
+            ),
             "FR_thigh stands at 10 rad in its nominal pose, but goes from -9 to 9 rad: write nominal_pose_rad",
         ),
     ] {
-        robot.write(folder.path());
+        write(folder.path(), &robot);
         refused("train", folder.path(), &["--robot", "robot.xml", "--samples", "256", "--out", "r"], words);
         assert!(!folder.path().join("r").exists());
     }
@@ -175,23 +138,19 @@ fn non_quadruped_is_refused_in_one_line() {
 #[test]
 fn thigh_on_the_ground_is_a_fall_and_shank_is_not() {
     let config = Config::load("fast").unwrap();
-    let low = "<geom type='capsule' size='0.03' fromto='0 0 -0.05 0.08 0 -0.33'/>";
-    let fallen = |robots: Robots| {
+    let fallen = |text: String| {
         let folder = tempfile::tempdir().unwrap();
-        robots.write(folder.path());
+        write(folder.path(), &text);
         let robot = Robot::load(folder.path().join("robot.xml").to_str().unwrap()).unwrap();
-        let config = config.fitted_to(&robot).unwrap();
-        let scene = Scene::flat(robot, config.simulation.timestep_s());
-        let mut sim = Sim::new(&scene, &config.simulation, 0.0).unwrap();
-        let conditions = Conditions { gravity: [0.0, 0.0, -9.81], friction: 0.8, encoder_bias: [0.0; 12] };
-        let pose = config.action.nominal_pose_rad.joints();
-        sim.reset(conditions, &pose).unwrap();
+        let (mut sim, pose) = standing(robot.clone(), &config.fitted_to(&robot).unwrap(), 0.0);
         sim.step(&pose, &mut ()).unwrap().fall.map(|fall| sim.describe(fall))
     };
-    let stands = anymal_like();
+    let stands = text(&anymal_like());
     assert_eq!(fallen(stands.clone()), None);
-    assert_eq!(fallen(Robots { shank: low, ..stands.clone() }), None);
-    let fall = fallen(Robots { thigh: low.replace("-0.33", "-0.75").leak(), ..stands }).unwrap();
+    let low = "<geom type='capsule' size='0.03' fromto='0 0 -0.05 0.08 0 -0.33'/>";
+    let foot = "<geom type='sphere'";
+    assert_eq!(fallen(stands.replace(foot, &format!("{low}{foot}"))), None);
+    let fall = fallen(stands.replace("fromto='0 0 -0.04 0 0 -0.18'", "fromto='0 0 -0.05 0.08 0 -0.75'")).unwrap();
     assert!(fall.contains("thigh"), "{fall}");
 }
 

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use supple::policy::{Policy, shipped};
 
-use crate::support::{complaint, run, small_config_file, success};
+use crate::support::{complaint, run, success, with_small_config};
 
 fn train(folder: &Path, arguments: &[&str]) -> String {
     complaint(&success(run("train", folder, arguments)))
@@ -16,9 +16,8 @@ fn policy(folder: &Path, run: &str) -> Vec<u8> {
 
 #[test]
 fn seeds_trained_together_are_the_runs_that_each_seed_gives() {
-    let place = tempfile::tempdir().unwrap();
+    let place = with_small_config();
     let folder = place.path();
-    small_config_file(folder);
     let set = ["--config", "small.yaml", "--seeds", "0,3-4", "--at-once", "2"];
     // Interrupted after one iteration, then gone on with; seed 4 is complete before.
     train(folder, &["--config", "small.yaml", "--seed", "4", "--samples", "768"]);
@@ -42,9 +41,8 @@ fn seeds_trained_together_are_the_runs_that_each_seed_gives() {
 
 #[test]
 fn every_variant_is_a_set_of_its_own() {
-    let place = tempfile::tempdir().unwrap();
+    let place = with_small_config();
     let folder = place.path();
-    small_config_file(folder);
     train(
         folder,
         &["--config", "small.yaml", "--seeds", "0-1", "--vary", "reward.energy=-0.01,-0.02", "--samples", "256"],

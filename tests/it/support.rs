@@ -13,6 +13,7 @@ use supple::policy::{Policy, Provenance, external, onnx};
 use supple::robot::{JOINTS, Robot};
 use supple::train::checkpoint::Checkpoint;
 use supple::util::random::{Purpose, stream};
+use tempfile::TempDir;
 
 /// A configuration small enough for tests: the paper's task, a tiny learner.
 pub fn small_config() -> Config {
@@ -31,11 +32,18 @@ pub fn small_config() -> Config {
     config
 }
 
-/// Writes the small configuration into a folder.
-pub fn small_config_file(folder: &Path) -> PathBuf {
-    let path = folder.join("small.yaml");
-    std::fs::write(&path, small_config().to_yaml()).unwrap();
-    path
+/// A folder with the small configuration, `small.yaml`.
+pub fn with_small_config() -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("small.yaml"), small_config().to_yaml()).unwrap();
+    folder
+}
+
+/// A folder with a policy that stands, `p.safetensors`.
+pub fn with_policy() -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    standing_policy().save(&folder.path().join("p.safetensors")).unwrap();
+    folder
 }
 
 /// A policy whose action is zero: it holds the nominal pose.
@@ -98,13 +106,20 @@ pub fn success(output: Output) -> Output {
     output
 }
 
-/// Runs a program that refuses, with exit code 2, one line that has these words, and within seconds. Returns the line.
-pub fn refused(name: &str, folder: &Path, arguments: &[&str], words: &str) -> String {
-    let begun = Instant::now();
+/// Runs a program that fails, with exit code 2, these words and nothing on standard output. Returns its complaint.
+pub fn fails(name: &str, folder: &Path, arguments: &[&str], words: &str) -> String {
     let output = run(name, folder, arguments);
     let complaint = complaint(&output);
-    assert_eq!(output.status.code(), Some(2), "{arguments:?}: {complaint}");
-    assert!(complaint.contains(words) && complaint.lines().count() == 1, "{arguments:?}: {complaint}");
+    assert!(output.status.code() == Some(2) && complaint.contains(words), "{arguments:?}: {complaint}");
+    assert!(output.stdout.is_empty(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stdout));
+    complaint
+}
+
+/// Runs a program that refuses: it fails with one line, and within seconds. Returns the line.
+pub fn refused(name: &str, folder: &Path, arguments: &[&str], words: &str) -> String {
+    let begun = Instant::now();
+    let complaint = fails(name, folder, arguments, words);
+    assert_eq!(complaint.lines().count(), 1, "{arguments:?}: {complaint}");
     assert!(begun.elapsed() < Duration::from_secs(60), "{arguments:?} took {:?}", begun.elapsed());
     complaint
 }

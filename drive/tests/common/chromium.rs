@@ -122,19 +122,6 @@ impl Chromium {
         result["result"]["value"].clone()
     }
 
-    /// Evaluates an expression in the viewer, which is a separate page.
-    pub fn value_in_viewer(&mut self, expression: &str) -> Value {
-        let targets = self.call("Target.getTargets", json!({}))["targetInfos"].clone();
-        let is_viewer = |target: &&Value| target["url"].as_str().is_some_and(|url| url.contains("/viewer.html"));
-        let viewer = targets.as_array().unwrap().iter().find(is_viewer).unwrap()["targetId"].clone();
-        let attached = self.call("Target.attachToTarget", json!({ "targetId": viewer, "flatten": true }));
-        let page = std::mem::replace(&mut self.session, attached["sessionId"].as_str().unwrap().to_owned());
-        let value = self.value(expression);
-        self.session = page;
-        self.call("Target.detachFromTarget", json!({ "sessionId": attached["sessionId"] }));
-        value
-    }
-
     /// Waits until an expression is true.
     pub fn wait(&mut self, expression: &str) {
         let start = Instant::now();

@@ -101,13 +101,6 @@ impl Drive {
         }
         None
     }
-
-    /// Returns the resident memory of the program [MB].
-    pub fn memory_mb(&self) -> f64 {
-        let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).unwrap();
-        let line = status.lines().find(|line| line.starts_with("VmRSS")).unwrap();
-        line.split_whitespace().nth(1).unwrap().parse::<f64>().unwrap() / 1024.0
-    }
 }
 
 impl Drop for Drive {

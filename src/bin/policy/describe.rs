@@ -24,8 +24,7 @@ pub fn describe(source: &Path, onnx: Option<PathBuf>, robot: Option<&str>, out: 
     let text = external::translate(source, name.to_str().context("the path is not UTF-8")?, robot)?;
     let has_network = external::check(out, &text).with_context(|| format!("cannot describe {}", source.display()))?;
     if !is_file {
-        return files::write_atomically(out, text.as_bytes())
-            .with_context(|| format!("cannot write {}", out.display()));
+        return crate::write(out, text.as_bytes());
     }
     files::write_new(out, |file| file.write_all(text.as_bytes()))
         .with_context(|| format!("cannot write {}", out.display()))?;

@@ -209,12 +209,6 @@ mod tests {
     const EXAMPLE: &str = include_str!("../../../examples/policies/rsl_rl.yaml");
 
     #[test]
-    fn the_example_parses() {
-        let spec = Spec::parse(Path::new("rsl_rl.yaml"), EXAMPLE).unwrap();
-        assert_eq!(spec.layout.length(), 48);
-    }
-
-    #[test]
     fn a_network_of_the_training_environment_is_described_as_it_sees_and_acts() {
         let mut config = Config::load("go2").unwrap();
         config.robot.damping_n_m_s_per_rad = 0.5;

@@ -85,17 +85,11 @@ struct Watched {
 impl Watched {
     fn all(world: &LiveSession) -> Vec<Self> {
         let setup = world.setup();
-        let watched = |(seat, (weight_n, period_s)): (&Seat, (f64, f64))| Watched {
-            take: Take {
-                scene: setup.scene,
-                seed: setup.seed,
-                seat: seat.clone(),
-                trace: Trace { period_s, weight_n, ..Trace::default() },
-                pushes: Vec::new(),
-                pulls: Vec::new(),
-            },
-            meter: LiveReadout::new((weight_n, period_s)),
-            pulls_since_s: None,
+        let watched = |(seat, (weight_n, period_s)): (&Seat, (f64, f64))| {
+            let trace = Trace { period_s, weight_n, ..Trace::default() };
+            let (scene, seed, seat, pushes, pulls) = (setup.scene, setup.seed, seat.clone(), Vec::new(), Vec::new());
+            let take = Take { scene, seed, seat, trace, pushes, pulls };
+            Watched { take, meter: LiveReadout::new((weight_n, period_s)), pulls_since_s: None }
         };
         setup.robots.iter().zip(world.weights_and_periods()).map(watched).collect()
     }

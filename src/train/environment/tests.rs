@@ -4,6 +4,7 @@ use super::*;
 use crate::config::{Pulls, Terrain};
 use crate::observation::{Observed, Quantity};
 use crate::robot::RobotState;
+use crate::train::episode::tests::pulls_of_50_n;
 use crate::world::{Disturbance, Hold, Pull, Push};
 
 /// Gives the present episode, which has just begun, other disturbances.
@@ -296,14 +297,7 @@ fn every_level_of_the_terrain_starts_on_its_own_tile() {
 }
 
 fn pulls() -> Pulls {
-    Pulls {
-        force_n: 50.0,
-        duration_s: [0.5, 2.5],
-        gap_s: [0.2, 1.5],
-        fraction_step: 0.001,
-        fraction_gate: 0.8,
-        buckets: Vec::new(),
-    }
+    pulls_of_50_n([0.5, 2.5], [0.2, 1.5])
 }
 
 #[test]

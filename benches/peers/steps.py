@@ -1,47 +1,27 @@
-"""Environment steps per second from Python, beside the Rust rollout and other vector environments, in turn.
+"""Environment steps per second from Python, beside other vector environments, in turn.
 
     benches/peers/setup                                             # once
-    target/peers/bin/python benches/python/steps.py [--threads N] [--repetitions N]
+    target/peers/bin/python benches/peers/steps.py [--threads N] [--repetitions N]
 
-Ours and Rust's do the same work: the same seed, the same random actions, the same bits. The others are Ant-v5, which is the
+What Rust does alone is `env_steps_per_s` of `cargo bench --bench throughput`, in physics steps. The others are Ant-v5, which is the
 Gymnasium task that is nearest: MuJoCo, four legs, eight joints, 5 physics steps for one of the policy where ours has 4, each
-with four evaluations (RK4) where ours has one: what they do in a step is not what ours do. Each takes its turn in every repetition; numbers are medians. EnvPool leaves its
-threads unpinned and waits for all environments, as ours do.
+with four evaluations (RK4) where ours has one: what they do in a step is not what ours do. Each takes its turn in every
+repetition; numbers are medians. EnvPool leaves its threads unpinned and waits for all environments, as ours do.
 """
 
 import argparse
 import json
-import pathlib
 import statistics
-import subprocess
-import tempfile
 import time
 
 import numpy as np
 import supple
 
-ROOT = pathlib.Path(__file__).resolve().parents[2]
 CONFIG, COMPLETE = "fast", supple.Curriculum(1.0, True)
 
 
-class Rust:
-    """The rollout in Rust, a process that measures on request."""
-
-    def __init__(self, actions, threads):
-        self.file = tempfile.NamedTemporaryFile(suffix=".f32")
-        actions.astype("<f4").tofile(self.file.name)
-        command = ["cargo", "bench", "--quiet", "--bench", "rollout", "--"]
-        command += [CONFIG, str(actions.shape[1]), str(threads), self.file.name]
-        self.child = subprocess.Popen(command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-
-    def measure(self):
-        print("go", file=self.child.stdin, flush=True)
-        seconds, self.bits = self.child.stdout.readline().split()
-        return float(seconds)
-
-
 class Ours:
-    """The same from Python."""
+    """Our environment."""
 
     def __init__(self, actions, threads):
         self.actions, count = actions, actions.shape[1]
@@ -49,13 +29,7 @@ class Ours:
 
     def measure(self):
         self.env.reset(seed=0)
-        bits, rewards = np.uint64(0), []
-        started = time.perf_counter()
-        for action in self.actions:
-            rewards.append(self.env.step(action)[1])
-        seconds = time.perf_counter() - started
-        self.bits = str(np.bitwise_xor.reduce(np.stack(rewards).view(np.uint64), axis=None, initial=bits))
-        return seconds
+        return timed(self.env, self.actions)
 
 
 class Sb3:
@@ -119,7 +93,7 @@ def main():
     args = parser.parse_args()
     shape = (args.steps, args.environments, 12)
     actions = (0.3 * np.random.default_rng(0).standard_normal(shape)).astype(np.float32)
-    ours = {"Rust rollout": Rust, "supple": Ours, "supple through SB3's VecEnv": Sb3}
+    ours = {"supple": Ours, "supple through SB3's VecEnv": Sb3}
     peers = {
         "EnvPool, Ant-v5": envpool_ant,
         "Gymnasium async, Ant-v5": gymnasium_ant("async"),
@@ -137,13 +111,11 @@ def main():
             seconds = contestant.measure()
             # The first fills caches and is not counted.
             times[name] += [seconds] if repetition else []
-    assert contestants["supple"].bits == contestants["Rust rollout"].bits, "the two did not do the same work"
     samples = args.steps * args.environments
-    ratio = statistics.median(rust / ours for rust, ours in zip(times["Rust rollout"], times["supple"]))
     found = {name: samples / statistics.median(seconds) for name, seconds in times.items()}
     for name, rate in found.items():
         print(f"{name:28} {rate:9.0f} environment steps/s")
-    print(json.dumps({"steps_per_s": found, "supple_over_rust": ratio, "times_s": times, "threads": args.threads}))
+    print(json.dumps({"steps_per_s": found, "times_s": times, "threads": args.threads}))
 
 
 if __name__ == "__main__":
