@@ -17,8 +17,8 @@ const PAIRS = {
   ],
 };
 
-/** The largest push and pull; rates below which the page says so [1, Hz]. */
-const MOST = { "m/s": 1, N: 60 };
+/** The largest push and pull, and the push of a key [m/s]; rates below which the page says so [1, Hz]. */
+const [MOST, KEY_M_S] = [{ "m/s": 1, N: 60 }, 0.5];
 const [SLOW, FEW_HZ] = [0.97, 50];
 
 const $ = (id) => document.getElementById(id);
@@ -65,6 +65,7 @@ $("speed").onchange = () => {
 
 const ACTIONS = {
   KeyR: () => send("reset"), KeyF: () => send("stand"), Space: pause,
+  KeyI: () => push([KEY_M_S, 0]), KeyK: () => push([-KEY_M_S, 0]), KeyJ: () => push([0, KEY_M_S]), KeyL: () => push([0, -KEY_M_S]),
 };
 addEventListener("keydown", (event) => {
   const busy = event.target.closest?.(event.code === "Space" ? "input, select, button, a" : "input, select");
