@@ -30,7 +30,7 @@ const send = (name, value) => worker.postMessage([name, value]);
 const push = (size) => send("push", size);
 const pull = (force) => {
   send("pull", force);
-  if (force) dismiss();
+  if (force) dismiss("Drag a robot");
 };
 
 // ---- what hands do
@@ -92,7 +92,7 @@ function started({ parts, about, version, scenes }) {
   $("version").textContent = `Physics: MuJoCo ${version} in WebAssembly.`;
   picture.begin(parts);
   hint("Drag a robot");
-  setTimeout(dismiss, 6e3);
+  setTimeout(() => dismiss("Drag a robot"), 6e3);
   sent = "";
   command();
 }
@@ -142,7 +142,7 @@ function hint(text, kind = "") {
   $("hint").className = kind;
 }
 
-const dismiss = () => hint($("hint").textContent, "done");
+const dismiss = (text) => $("hint").textContent === text && hint(text, "done");
 
 /** Ends the play. */
 function fail(problem) {
@@ -167,6 +167,7 @@ try {
   $("pair").onchange = choose;
   $("scene").onchange = () => start(robots);
   choose();
+  clock();
 } catch (problem) {
   fail(problem.message.replace(/\.$/, ""));
 }
