@@ -129,7 +129,7 @@ def check_hands(page, pictures):
     time.sleep(1)  # The camera follows.
     # The flick is made in the page: over the pipe, events may come too late.
     flick = f"""(() => {{ const canvas = document.querySelector("#robots canvas"), [x, clientY] = {ROBOT}; canvas.setPointerCapture = () => 0;
-        for (const [kind, clientX] of [["down", x], ["move", x - 60], ["up", x - 60]])
+        for (const [kind, clientX] of [["down", x], ["move", x - 150], ["up", x - 150]])
           canvas.dispatchEvent(new PointerEvent("pointer" + kind, {{ pointerId: 9, clientX, clientY, bubbles: true }})); }})()"""
     page.value(flick)
     page.wait("state.robots.every(({ reading }) => reading?.push?.carried_m > 0.01)")
