@@ -152,6 +152,7 @@ function fail(problem) {
   say("stopped", true);
 }
 
+addEventListener("error", ({ error }) => error && fail(error.message)); // A late notice of a size has no error.
 worker.onerror = (event) => fail(event.message || "their worker does not start");
 const ANSWERS = { started, play, fail, arrives: (percent) => say(`loading, ${percent} % …`) };
 worker.onmessage = ({ data: [name, value] }) => ANSWERS[name](value);
