@@ -12,12 +12,7 @@ const NONE = { force: [0, 0, 0], feet: Array(4).fill([0, 0, 0]) };
 /** The part of a step of `dt_s` in a first-order low-pass. */
 const part = (dt_s, constant_s) => 1 - Math.exp(-dt_s / constant_s);
 const toward = (from, to, step) => add(from, times(step, less(to, from)));
-
-/** Forces, low-passed as `ExternalForces::follow`. */
-export const follow = (low, { force, feet, doubted }, dt_s) => {
-  const step = part(dt_s, TIME_CONSTANT_S);
-  return { force: toward(low.force, force, step), feet: low.feet.map((foot, leg) => toward(foot, feet[leg], step)), doubted };
-};
+const vector = (all, k) => [all[3 * k], all[3 * k + 1], all[3 * k + 2]];
 
 /** Observes the forces on one robot. */
 export class ForceObserver {
@@ -29,13 +24,11 @@ export class ForceObserver {
     alone.opt.gravity.fill(0);
     this.data = new mujoco.MjData(alone);
     this.forces = new mujoco.DoubleBuffer(alone.nv);
-    const mass = alone.body_mass.reduce((sum, mass) => sum + mass);
-    this.weight = 9.81 * mass;
+    this.weight = 9.81 * alone.body_mass.reduce((sum, mass) => sum + mass);
     const of = (kind, name) => mujoco.mj_name2id(alone, mujoco.mjtObj[kind].value, name);
-    const legs = ["FR", "FL", "RR", "RL"];
-    this.feet = legs.map((leg) => of("mjOBJ_GEOM", `${leg}_foot`));
+    this.feet = ["FR", "FL", "RR", "RL"].map((leg) => of("mjOBJ_GEOM", `${leg}_foot`));
     this.radii = this.feet.map((foot) => alone.geom_size[3 * foot]);
-    this.imu = [...alone.site_pos.slice(3 * of("mjOBJ_SITE", "imu"), 3 * of("mjOBJ_SITE", "imu") + 3)];
+    this.imu = vector(alone.site_pos, of("mjOBJ_SITE", "imu"));
     this.armature = [...alone.dof_armature.slice(6)];
     // The root is joint 0.
     this.limits = [...alone.jnt_range.slice(2)];
@@ -65,10 +58,12 @@ export class ForceObserver {
     const mean = (vectors) => times(1 / vectors.length, vectors.reduce(add));
     const { readings } = this;
     const feet = [0, 1, 2, 3].map((leg) => mean(readings.map((reading) => reading.feet[leg])));
-    const found = { force: mean(readings.map(({ force }) => force)), feet, doubted: readings.some(({ doubted }) => doubted) };
-    this.low = follow(this.low, found, dt_s);
+    const [force, doubted] = [mean(readings.map(({ force }) => force)), readings.some(({ doubted }) => doubted)];
+    const step = part(dt_s, TIME_CONSTANT_S);
+    const lowFeet = this.low.feet.map((foot, leg) => toward(foot, feet[leg], step));
+    this.low = { force: toward(this.low.force, force, step), feet: lowFeet, doubted };
     this.readings = [];
-    return found;
+    return { force, doubted };
   }
 
   /** Solves the equations of the step between two readings; returns true where they cannot be trusted. */
@@ -78,7 +73,6 @@ export class ForceObserver {
     this.place(before, now, dt_s);
     const solved = this.forces.GetView();
     const [anchors, axes, places] = [data.xanchor, data.xaxis, data.geom_xpos];
-    const vector = (all, k) => [all[3 * k], all[3 * k + 1], all[3 * k + 2]];
     const up = before.base[2];
     const normal = turned(transposed(before.base), normalOf(this.lines));
     const centres = this.feet.map((foot) => vector(places, foot));

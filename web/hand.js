@@ -4,13 +4,13 @@
 import * as THREE from "./three.module.min.js";
 import { up } from "./shapes.js";
 
-/** Distance from the robot at which a hand pulls or pushes with all its force, and within which it grabs [m]. */
+/** Length of a drag that pulls or pushes with all its force, and distance from a robot within which a pointer grabs it [m]. */
 const [REACH_M, GRAB_M] = [0.8, 0.35];
 /** Longest time and shortest way of a quick drag [ms, px]. */
 const [FLICK_MS, FLICK_PX] = [280, 12];
 const RAD_PER_PX = 1 / 150;
 
-const limited = (value, low, high) => Math.min(high, Math.max(low, value));
+const { clamp } = THREE.MathUtils;
 
 /** Calls `on.pull(force or null)` and `on.push(size)` with parts of the whole, forward and left, 0 to 1. */
 export function listenToHand(picture, on) {
@@ -18,26 +18,34 @@ export function listenToHand(picture, on) {
   const pointers = new Map();
   let held = null;
 
-  /** The place of a pointer at the height of a robot, forward and left of it [m]; null where it misses. */
-  const reach = (index, { offsetX, offsetY }, misses) => {
+  /** The ray of a pointer into the picture of a robot. */
+  const ray = (index, { offsetX, offsetY }) => {
     const [left, , width, height] = picture.areas[index];
-    const { camera, trunk, yaw } = picture.views[index];
+    const { camera } = picture.views[index];
     const pointer = new THREE.Vector3((2 * (offsetX - left)) / width - 1, 1 - (2 * offsetY) / height, 0.5).unproject(camera);
-    const ray = new THREE.Ray(camera.position, pointer.sub(camera.position).normalize());
-    if (misses && ray.distanceToPoint(trunk) > GRAB_M) return null;
-    const at = ray.intersectPlane(new THREE.Plane(up, -trunk.z), new THREE.Vector3()) ?? trunk;
-    const { x, y } = at.clone().sub(trunk).applyAxisAngle(up, -yaw);
-    return [x, y];
+    return new THREE.Ray(camera.position, pointer.sub(camera.position).normalize());
   };
-  const zoom = (factor) => (picture.orbit.away = limited(picture.orbit.away * factor, 1, 8));
+  /** The place that a pointer shows at the height of the robot, far away where it is above the horizon. */
+  const place = (index, event) => {
+    const { origin, direction } = ray(index, event);
+    const way = (origin.z - picture.views[index].trunk.z) / Math.max(0.1, -direction.z);
+    return origin.clone().addScaledVector(direction, way);
+  };
+  const letGo = () => {
+    held = null;
+    on.pull(null);
+  };
+  const zoom = (factor) => (picture.orbit.away = clamp(picture.orbit.away * factor, 1, 6));
 
   canvas.addEventListener("pointerdown", (event) => {
+    if (event.button !== 0) return;
     pointers.set(event.pointerId, event);
     canvas.setPointerCapture(event.pointerId);
+    if (held) letGo(); // Two fingers zoom.
     const index = picture.areas.findIndex(([left, , width]) => event.offsetX >= left && event.offsetX < left + width);
-    const from = pointers.size === 1 && picture.views[index]?.trunk ? reach(index, event, true) : null;
-    if (!from) return;
-    const hand = { index, from, event, part: null };
+    const trunk = picture.views[index]?.trunk;
+    if (pointers.size > 1 || !trunk || ray(index, event).distanceToPoint(trunk) > GRAB_M) return;
+    const hand = { index, event, part: null };
     held = hand;
     // A hand that rests pulls, too.
     setTimeout(() => held === hand && hand.part && on.pull(hand.part), FLICK_MS + 1);
@@ -46,10 +54,11 @@ export function listenToHand(picture, on) {
   canvas.addEventListener("pointermove", (event) => {
     const before = pointers.get(event.pointerId);
     if (!before) return;
-    if (held?.event.pointerId === event.pointerId) {
-      const now = reach(held.index, event, false);
-      const drag = [now[0] - held.from[0], now[1] - held.from[1]];
-      held.part = drag.map((way) => way / Math.max(REACH_M, Math.hypot(...drag)));
+    if (held) {
+      // Both as the camera sees them now, which follows the robot: a finger that rests pulls alike.
+      const drag = place(held.index, event).sub(place(held.index, held.event));
+      const { x, y } = drag.applyAxisAngle(up, -picture.views[held.index].yaw).divideScalar(Math.max(REACH_M, drag.length()));
+      held.part = [x, y];
       if (event.timeStamp - held.event.timeStamp > FLICK_MS) on.pull(held.part);
     } else if (pointers.size === 2) {
       const other = [...pointers.values()].find(({ pointerId }) => pointerId !== event.pointerId);
@@ -57,7 +66,7 @@ export function listenToHand(picture, on) {
       zoom(far(before) / far(event));
     } else {
       picture.orbit.around -= (event.offsetX - before.offsetX) * RAD_PER_PX;
-      picture.orbit.above = limited(picture.orbit.above + (event.offsetY - before.offsetY) * RAD_PER_PX, 0.05, 1.5);
+      picture.orbit.above = clamp(picture.orbit.above + (event.offsetY - before.offsetY) * RAD_PER_PX, 0.15, 1.5);
     }
     pointers.set(event.pointerId, event);
   });
@@ -66,8 +75,7 @@ export function listenToHand(picture, on) {
     pointers.delete(event.pointerId);
     if (held?.event.pointerId !== event.pointerId) return;
     const { event: start, part } = held;
-    held = null;
-    on.pull(null);
+    letGo();
     const moved = Math.hypot(event.offsetX - start.offsetX, event.offsetY - start.offsetY);
     const isQuick = event.timeStamp - start.timeStamp <= FLICK_MS && moved > FLICK_PX;
     if (part && isQuick && event.type === "pointerup") on.push(part);

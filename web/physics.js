@@ -9,17 +9,28 @@ import { ALONE, LOOKS, SCENES } from "./scene.js";
 /** Longest time that is caught up after a pause of the browser [s], and the time between two measurements that are shown [ms]. */
 const [CATCH_UP_S, SHOWN_MS] = [0.1, 150];
 
-const bytes = async (name) => {
-  const answer = await fetch(name);
-  if (!answer.ok) throw new Error(`${name}: ${answer.status}`);
-  return answer;
-};
-const text = async (name) => (await bytes(name)).text();
+const answer = (name, value) => postMessage([name, value]);
 
-/** Loads MuJoCo from its package, which is shipped compressed. */
+const file = async (name) => {
+  const sent = await fetch(name).catch(() => null);
+  if (!sent?.ok) throw new Error(`the server did not send ${name}: ${sent ? `error ${sent.status}` : "no connection"}`);
+  return sent;
+};
+const text = async (name) => (await file(name)).text();
+
+/** Loads MuJoCo from its package, which is shipped compressed; tells how much has come [%]. */
 async function load() {
-  const packed = await bytes("mujoco.js.gz");
-  const unpacked = await new Response(packed.body.pipeThrough(new DecompressionStream("gzip"))).blob();
+  const { body, headers } = await file("mujoco.js.gz");
+  let [bytes, told] = [0, 0];
+  const counter = new TransformStream({
+    transform(part, output) {
+      bytes += part.length;
+      output.enqueue(part);
+      const percent = Math.round((100 * bytes) / headers.get("content-length"));
+      if (percent > told && percent <= 100) answer("arrives", (told = percent));
+    },
+  });
+  const unpacked = await new Response(body.pipeThrough(counter).pipeThrough(new DecompressionStream("gzip"))).blob();
   const address = URL.createObjectURL(new Blob([unpacked], { type: "text/javascript" }));
   const module = await import(address);
   URL.revokeObjectURL(address);
@@ -29,7 +40,7 @@ async function load() {
 const policies = {};
 /** A policy by its name, fetched once: its first seed, as the programs take it. */
 const policy = (name) => (policies[name] ??= Promise.all([
-  bytes(`policies/${name}-seed0.safetensors`).then((answer) => answer.arrayBuffer()),
+  file(`policies/${name}-seed0.safetensors`).then((sent) => sent.arrayBuffer()),
   text(`policies/${name}-seed0.calibration.json`).then(JSON.parse),
 ]).then((parts) => new Policy(...parts)));
 
@@ -39,22 +50,20 @@ const parameters = async (name) => {
   return Object.fromEntries([...lines].map(([, key, value]) => [key, Number(value)]));
 };
 
-const first = policy("real");
-first.catch(() => {});
-const loading = Promise.all([load(), text("models/go1.xml"), parameters("ball-pit"), parameters("rubble"), first])
+const loading = Promise.all([load(), text("models/go1.xml"), parameters("ball-pit"), parameters("rubble"), policy("real")])
   .then(([mujoco, robot, balls, rubble]) => ({ mujoco, files: { robot, balls, rubble }, alone: compile(mujoco, ALONE, robot) }));
 
 /** What is drawn of a model, except the ground: the body, shape, size, place and colour of each geometry. */
 function looks(model, from) {
-  const isRobot = from === 1;
-  const part = (all, index, length) => [...all.slice(length * index, length * (index + 1))];
-  const shown = (geom) => model.geom_bodyid[geom] >= from && model.geom_group[geom] < 3;
-  return Array.from({ length: model.ngeom }, (_, geom) => geom).filter(shown).map((geom) => {
+  const part = (all, index, length) => Array.from(all.slice(length * index, length * (index + 1)));
+  const geoms = Array.from({ length: model.ngeom }, (_, geom) => geom);
+  return geoms.filter((geom) => model.geom_bodyid[geom] >= from && model.geom_group[geom] < 3).map((geom) => {
     const material = model.geom_matid[geom];
-    const rgba = material < 0 ? part(model.geom_rgba, geom, 4) : part(model.mat_rgba, material, 4);
-    const [size, position] = [model.geom_size, model.geom_pos].map((all) => part(all, geom, 3));
-    const [body, type, quaternion] = [model.geom_bodyid[geom], model.geom_type[geom], part(model.geom_quat, geom, 4)];
-    return { isRobot, body, type, rgba, size, position, quaternion };
+    return {
+      isRobot: from === 1, body: model.geom_bodyid[geom], type: model.geom_type[geom], size: part(model.geom_size, geom, 3),
+      position: part(model.geom_pos, geom, 3), quaternion: part(model.geom_quat, geom, 4),
+      rgba: material < 0 ? part(model.geom_rgba, geom, 4) : part(model.mat_rgba, material, 4),
+    };
   });
 }
 
@@ -62,26 +71,27 @@ let players = [];
 let [shown, starts] = [0, 0];
 let clock = { at: 0, due: 0, speed: 1, paused: false, rate: null, since: 0, played: 0 };
 
-/** Starts robots in a scene. */
-async function start({ robots, scene, command = [0, 0, 0] }) {
+/** Starts robots, of a policy's name and a commanded compliance [m/s/N] each, in a scene. */
+async function start({ robots, scene }) {
   const mine = (starts += 1);
   const { mujoco, files, alone } = await loading;
-  const chosen = await Promise.all(robots.map(({ policy: name }) => policy(name)));
+  const chosen = await Promise.all(robots.map(({ name }) => policy(name)));
   if (mine !== starts) return; // Others have been chosen meanwhile.
   for (const { robot } of players) robot.delete();
   players = robots.map(({ compliance }, index) => {
     const robot = new Robot(mujoco, files, alone, chosen[index], scene);
-    return { robot: Object.assign(robot, { compliance, command }), readout: new Readout(robot.period_s) };
+    return { robot: Object.assign(robot, { compliance }), readout: new Readout(robot.period_s) };
   });
   const drawn = compile(mujoco, LOOKS, files.robot);
   const parts = players.map(({ robot }) => [...looks(drawn, 1), ...looks(robot.model, drawn.nbody)]);
   drawn.delete();
-  const about = chosen.map(({ calibration, range }) => {
+  const about = chosen.map(({ calibration, range }, index) => {
     const { own_m_s_per_n: own, points } = calibration;
-    return { range, reach: [[points[0].commanded, points.at(-1).commanded], own] };
+    const { name, compliance } = robots[index];
+    return { name, compliance, range, reach: [[points[0].commanded, points.at(-1).commanded], own] };
   });
-  clock = { ...clock, at: performance.now(), due: 0, since: performance.now(), played: 0, rate: null };
-  postMessage({ started: { parts, about, version: mujoco.mj_versionString(), scenes: Object.keys(SCENES) } });
+  ACTS.clock({ at: performance.now(), due: 0 });
+  answer("started", { parts, about, version: mujoco.mj_versionString(), scenes: Object.keys(SCENES) });
 }
 
 /** Plays what is due in real time. */
@@ -106,8 +116,7 @@ function tick() {
 
 function step() {
   for (const player of players) {
-    const { pull } = player.robot;
-    player.frame = { ...player.robot.step(), pull: pull?.force ?? null };
+    player.frame = { ...player.robot.step(), pull: player.robot.pull?.force ?? null };
     player.readout.note(player.frame);
   }
 }
@@ -117,12 +126,10 @@ function show(now) {
   const reads = now - shown > SHOWN_MS;
   if (reads) shown = now;
   const robots = players.map(({ robot, readout, frame }) => ({
-    places: Float32Array.from(robot.data.xpos), turns: Float32Array.from(robot.data.xquat),
-    feet: robot.feet(), position: frame.position, yaw: frame.yaw, felt: frame.felt, force: frame.force, pushed: frame.pushed,
-    time_s: frame.time_s, isBeginning: frame.isBeginning, lies: robot.fallen_s !== null,
-    reading: reads ? readout.read() : null, falls: robot.falls, compliance: robot.compliance,
+    ...frame, places: Float32Array.from(robot.data.xpos), turns: Float32Array.from(robot.data.xquat), compliance: robot.compliance,
+    reading: reads ? readout.read() : null,
   }));
-  postMessage({ robots, rate: clock.rate });
+  answer("play", { robots, rate: clock.rate });
 }
 
 /** Plays a script as fast as possible, for tests: a push [m/s] at a time, or a pull [N] from a time on. */
@@ -132,12 +139,12 @@ async function play({ policy: name, compliance = null, command, steps, push, pul
   Object.assign(robot, { command, compliance });
   const frames = [];
   for (let step = 0; step < steps; step += 1) {
-    if (step === push?.step) robot.push(push.size);
+    if (step === push?.step) robot.coming = push.size;
     if (step === pull?.step) robot.pull = { force: pull.force, inWorld: true };
     frames.push(robot.step());
   }
   robot.delete();
-  postMessage({ frames });
+  answer("frames", frames);
 }
 
 const robots = (act) => players.forEach(({ robot }) => act(robot));
@@ -145,7 +152,7 @@ const ACTS = {
   start,
   play,
   command: (command) => robots((robot) => (robot.command = command)),
-  push: (size) => robots((robot) => robot.push(size)),
+  push: (size) => robots((robot) => (robot.coming = size)),
   pull: (force) => robots((robot) => (robot.pull = force && { force })),
   comply: ({ robot, compliance }) => (players[robot].robot.compliance = compliance),
   stand: () => robots((robot) => robot.standUp()),
@@ -153,20 +160,7 @@ const ACTS = {
   clock: (change) => Object.assign(clock, change, { since: performance.now(), played: 0, rate: null }),
 };
 
-onmessage = async ({ data }) => {
-  try {
-    for (const [name, value] of Object.entries(data)) await ACTS[name](value);
-  } catch (problem) {
-    postMessage({ problem: String(problem?.message ?? problem) });
-  }
-};
-
-setInterval(() => {
-  try {
-    tick();
-  } catch (problem) {
-    players = [];
-    postMessage({ problem: String(problem?.message ?? problem) });
-  }
-}, 4);
-loading.then(() => postMessage({ loaded: true }), (problem) => postMessage({ problem: String(problem?.message ?? problem) }));
+// An error in a time step reaches the page by itself; one in a promise does not.
+addEventListener("unhandledrejection", ({ reason }) => answer("fail", String(reason?.message ?? reason)));
+onmessage = async ({ data: [name, value] }) => ACTS[name](value);
+setInterval(tick, 4);

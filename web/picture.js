@@ -2,35 +2,46 @@
 
 import * as THREE from "./three.module.min.js";
 import { listenToHand } from "./hand.js";
-import { IS_SOFTWARE } from "./shapes.js";
+import { pattern } from "./shapes.js";
 import { View } from "./view.js";
 
 const TINTS = [0x0072b2, 0xe69f00];
-/** Frame rate below which the picture becomes coarser, the rates of pixels that are tried, and the fewest pixels. */
-const [SLOW_HZ, FINENESS, FEWEST] = [50, [1, 0.75, 0.5, 0.35], 1.5e5];
+/** Frame rate below which the picture becomes coarser, the parts of its resolution that are tried, and the gain for which it stays so. */
+const [SLOW_HZ, FINENESS, GAIN] = [50, [1, 0.75, 0.5, 0.35], 1.05];
 /** Field of view of a view that is higher than wide, across, and of others, upright [rad]. */
 const [ACROSS_RAD, UPRIGHT_RAD] = [0.56, 0.61];
+
+/** True where no graphics processor draws. */
+const IS_SOFTWARE = (() => {
+  const context = document.createElement("canvas").getContext("webgl2");
+  const about = context?.getExtension("WEBGL_debug_renderer_info");
+  return /swiftshader|llvmpipe|software/i.test(about ? context.getParameter(about.UNMASKED_RENDERER_WEBGL) : "");
+})();
 
 /** Draws robots into an element; `on` are the calls of listenToHand. */
 export class Picture {
   constructor(place, on) {
-    Object.assign(this, { place, views: [], fineness: IS_SOFTWARE ? 1 : 0, frames: 0, since: performance.now(), last: 0, rate: null });
+    Object.assign(this, { place, views: [], areas: [], poses: null, fineness: IS_SOFTWARE ? 1 : 0, last: 0, rate: null });
     this.orbit = { around: -2.25, above: 0.5, away: 2.2 };
     this.renderer = new THREE.WebGLRenderer({ antialias: !IS_SOFTWARE, stencil: true, powerPreference: "high-performance" });
     this.renderer.setScissorTest(true);
     place.append(this.renderer.domElement);
+    this.countAnew();
     new ResizeObserver(() => this.resize()).observe(place);
     listenToHand(this, on);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.paint());
-    requestAnimationFrame((time) => this.draw(time));
+    document.addEventListener("visibilitychange", () => this.countAnew());
+    this.renderer.setAnimationLoop((time) => this.draw(time));
   }
 
   /** Begins with other robots: their drawn parts. */
   begin(parts) {
-    this.views.forEach(({ scene }) => scene.traverse(({ geometry }) => geometry?.dispose()));
+    this.views.forEach((view) => view.delete());
     this.views = parts.map((own, index) => new View(own, TINTS[index]));
+    this.poses = null;
     this.paint();
     this.resize();
+    this.countAnew();
   }
 
   paint() {
@@ -39,8 +50,10 @@ export class Picture {
       this.place.style.color = `var(--${name})`;
       return getComputedStyle(this.place).color;
     };
-    const colours = Object.fromEntries(["sky", "square", "other", "grid"].map((name) => [name, colour(name)]));
-    this.views.forEach((view) => view.paint(colours));
+    this.ground?.dispose();
+    this.ground = pattern(colour("square"), colour("other"), colour("grid"));
+    this.ground.anisotropy = IS_SOFTWARE ? 1 : 8;
+    this.views.forEach((view) => view.paint(colour("sky"), this.ground));
   }
 
   resize() {
@@ -57,32 +70,34 @@ export class Picture {
     }
   }
 
-  show(robots) {
-    robots.forEach((robot, index) => this.views[index]?.show(robot));
-  }
-
   draw(time) {
-    requestAnimationFrame((next) => this.draw(next));
-    const passed_s = Math.min(0.1, (time - this.last) / 1e3);
+    const passed_s = (time - this.last) / 1e3;
     this.last = time;
     this.views.forEach((view, index) => {
+      if (this.poses) view.show(this.poses[index]);
+      if (!view.trunk) return;
       view.follow(this.orbit, passed_s);
       this.renderer.setViewport(...this.areas[index]);
       this.renderer.setScissor(...this.areas[index]);
       this.renderer.render(view.scene, view.camera);
     });
+    this.poses = null;
     this.count(time);
   }
 
-  /** Counts pictures; where there are too few, they become coarser. */
+  countAnew() {
+    Object.assign(this, { frames: 0, since: performance.now(), finer_hz: null, isSettled: false });
+  }
+
+  /** Counts pictures; where there are too few, they become coarser while this helps: a browser that saves power draws no faster. */
   count(time) {
     this.frames += 1;
     if (time - this.since < 2e3) return;
     this.rate = (this.frames * 1e3) / (time - this.since);
     [this.frames, this.since] = [0, time];
-    const { width, height } = this.renderer.domElement;
-    if (this.rate > SLOW_HZ || document.hidden || !this.views.length || width * height < FEWEST) return;
-    this.fineness = Math.min(FINENESS.length - 1, this.fineness + 1);
+    if (this.rate > SLOW_HZ || this.isSettled || this.fineness + 1 === FINENESS.length || !this.views.length) return;
+    this.isSettled = this.rate < GAIN * this.finer_hz;
+    [this.fineness, this.finer_hz] = [this.fineness + (this.isSettled ? -1 : 1), this.rate];
     this.resize();
   }
 }

@@ -19,7 +19,7 @@ const QUANTITIES = {
 /** Shortest time constant of the virtual mass [s], and what a pull changes the command by at most and at least [m/s]. */
 const [SHORTEST_S, LARGEST_M_S, LEAST_M_S] = [0.05, 1, 0.5];
 
-export const clamp = (value, limit) => Math.min(limit, Math.max(-limit, value));
+const clamp = (value, limit) => Math.min(limit, Math.max(-limit, value));
 
 /** The policy in the bytes of a file of safetensors, with its calibration. */
 export class Policy {

@@ -11,12 +11,13 @@ export class Readout {
     [this.frames, this.push] = [[], null];
   }
 
-  /** Takes a frame of the robot. A fall, another command, push or pull ends the measurement of a push. */
+  /** Takes a frame of the robot. A fall, another start, command, push or pull ends the measurement of a push. */
   note(frame) {
     const last = this.frames.at(-1);
     const changed = last && (String(frame.command) !== String(last.command) || (frame.pull === null) !== (last.pull === null));
-    if (frame.pushed || frame.isBeginning || changed) this.conclude("disturbed");
-    if (frame.isBeginning) this.frames = [];
+    const isBeginning = frame.starts !== last?.starts;
+    if (frame.pushed || isBeginning || changed) this.conclude("disturbed");
+    if (isBeginning) this.frames = [];
     if (frame.pushed) {
       this.push = { at_s: frame.time_s - this.period_s, size_m_s: frame.pushed, carried_m: null, decay_s: null, outcome: "watching" };
     }

@@ -58,18 +58,13 @@ export class Robot {
     this.soles = ["FR", "FL", "RR", "RL"].map((leg) => mujoco.mj_name2id(this.model, mujoco.mjtObj.mjOBJ_GEOM.value, `${leg}_foot`));
     this.latency = new Latency(simulation.latency_s, this.dt_s);
     this.observer = new ForceObserver(mujoco, alone);
-    Object.assign(this, { command: [0, 0, 0], pull: null, time_s: 0, falls: 0 });
-    this.take(policy, null);
+    Object.assign(this, { policy, compliance: null, controller: new Controller(policy) });
+    Object.assign(this, { command: [0, 0, 0], coming: null, last: null, pull: null, time_s: 0, falls: 0, starts: 0 });
     this.restart();
   }
 
   delete() {
     for (const owned of [this.observer.forces, this.observer.data, this.data, this.model]) owned.delete();
-  }
-
-  /** Gives the robot a policy of the same rates and gains, and a commanded compliance [m/s/N] or null. */
-  take(policy, compliance) {
-    Object.assign(this, { policy, compliance, controller: new Controller(policy) });
   }
 
   /** Puts robot and obstacles at their start. */
@@ -92,11 +87,17 @@ export class Robot {
     this.mujoco.mj_step1(this.model, this.data);
     this.observer.reset();
     this.controller.begin();
-    Object.assign(this, { felt: null, fallen_s: null, isBeginning: true });
+    Object.assign(this, { felt: null, fallen_s: null, starts: this.starts + 1 });
   }
 
+  /** Rows of the rotation from the base to the world. */
   base() {
     return rotation(this.data.qpos.slice(3, 7));
+  }
+
+  encoders() {
+    const part = (all, first) => Array.from(all.slice(first, first + this.joints));
+    return { angles: part(this.data.qpos, 7), rates: part(this.data.qvel, 6) };
   }
 
   /** What policies observe; vectors in the base frame. */
@@ -104,26 +105,25 @@ export class Robot {
     const { qpos, qvel } = this.data;
     const base = this.base();
     const toBase = transposed(base);
-    const [angles, rates] = [[...qpos.slice(7, 7 + this.joints)], [...qvel.slice(6, 6 + this.joints)]];
     const [velocity, gravity] = [[...qvel.slice(0, 3)], GRAVITY].map((vector) => turned(toBase, vector));
-    return { base, height: qpos[2], gravity, angles, velocity, turning: [...qvel.slice(3, 6)], rates, felt: this.felt };
+    return { base, height: qpos[2], gravity, velocity, turning: [...qvel.slice(3, 6)], ...this.encoders(), felt: this.felt };
   }
 
-  /** Changes the trunk's velocity in the coming step, forward and left [m/s]. */
-  push(size) {
-    this.coming = size;
-  }
-
-  /** Runs one policy step; returns its frame. `this.pull` is a force on the trunk, forward and left, or in the world [N]. */
+  /**
+   * Runs one policy step; returns its frame. `this.coming` is a push, a change of the trunk's velocity, forward and left [m/s];
+   * `this.pull` is a force on the trunk, forward and left, or in the world [N].
+   */
   step() {
     const { data, model, mujoco } = this;
     if (this.fallen_s !== null && this.time_s > this.fallen_s + LIES_S) this.standUp();
     const state = this.state();
     const target = this.controller.targets(state, this.command, this.compliance);
     const ahead = heading(yawOf(state.base));
-    if (this.coming) {
-      const change = turned(ahead, [...this.coming, 0]);
-      change.forEach((part, axis) => (data.qvel[axis] += part));
+    const pushed = this.coming;
+    if (pushed) {
+      const along = turned(ahead, [...pushed, 0]);
+      Object.assign(this, { coming: null, last: { at_s: this.time_s, along } });
+      along.forEach((part, axis) => (data.qvel[axis] += part));
       mujoco.mj_step1(model, data);
     }
     const force = this.pull ? turned(this.pull.inWorld ? heading(0) : ahead, [...this.pull.force, 0]) : [0, 0, 0];
@@ -132,17 +132,23 @@ export class Robot {
     let power = 0;
     for (let substep = 0; substep < this.substeps; substep += 1) power += this.physicsStep(target) / this.substeps;
     this.time_s += this.period_s;
+    const felt = this.observer.takeMean(this.period_s);
+    this.felt = felt.doubted ? null : felt.force.slice(0, 2);
     // MuJoCo starts anew where its numbers are no longer finite: that counts as a fall.
     const failed = !(data.time > began);
     if (failed) this.restart();
-    const felt = this.observer.takeMean(this.period_s);
-    this.felt = felt.doubted ? null : felt.force.slice(0, 2);
-    const isBeginning = this.isBeginning;
-    const fell = failed || (this.fallen_s === null && this.hasFallen());
-    if (fell) Object.assign(this, { fallen_s: failed ? null : this.time_s, falls: this.falls + 1 });
-    const pushed = this.coming;
-    Object.assign(this, { coming: null, isBeginning: false });
-    return { ...this.frame(), target, power, pushed, force, fell, isBeginning };
+    const [base, { qpos, qvel, geom_xpos }, { command, time_s, starts, last, observer }] = [this.base(), data, this];
+    // Low, or on its side. (Programs also look for parts on the ground.)
+    const isDown = qpos[2] < this.policy.fallHeight || base[2][2] < 0.5;
+    const fell = failed || (isDown && this.fallen_s === null);
+    if (fell) Object.assign(this, { fallen_s: failed ? null : time_s, falls: this.falls + 1 });
+    const yaw = yawOf(base);
+    const [forward, left] = turned(heading(-yaw), [...qvel.slice(0, 3)]);
+    const feet = this.soles.map((sole) => [...geom_xpos.slice(3 * sole, 3 * sole + 3)]);
+    return {
+      time_s, starts, position: [...qpos.slice(0, 3)], yaw, velocity: [forward, left, qvel[5]], feet, lies: this.fallen_s !== null,
+      command, target, power, pushed, last, force, fell, falls: this.falls, felt: observer.low,
+    };
   }
 
   /** Runs one physics step towards joint targets; returns the mechanical power [W]. */
@@ -150,33 +156,13 @@ export class Robot {
     const { data, model, mujoco, policy, limits } = this;
     const acting = this.latency.delay(target);
     const { kp_n_m_per_rad: kp, kd_n_m_s_per_rad: kd } = policy.simulation;
-    const [angles, rates] = [data.qpos.slice(7, 7 + this.joints), data.qvel.slice(6, 6 + this.joints)];
+    const { angles, rates } = this.encoders();
     const torques = acting.map((angle, joint) =>
       Math.min(limits[joint], Math.max(-limits[joint], kp * (angle - angles[joint]) - kd * rates[joint])));
     data.ctrl.set(torques);
     mujoco.mj_step2(model, data);
-    const now = { base: this.base(), angles: [...data.qpos.slice(7, 7 + this.joints)], rates: [...data.qvel.slice(6, 6 + this.joints)] };
-    this.observer.read({ ...now, velocity: [...data.qvel.slice(0, 6)], torques }, this.dt_s);
+    this.observer.read({ base: this.base(), ...this.encoders(), velocity: [...data.qvel.slice(0, 6)], torques }, this.dt_s);
     mujoco.mj_step1(model, data);
     return torques.reduce((sum, torque, joint) => sum + Math.abs(torque * rates[joint]), 0);
-  }
-
-  /** Low, or on its side. (Programs also look for parts on the ground.) */
-  hasFallen() {
-    return this.data.qpos[2] < this.policy.fallHeight || this.base()[2][2] < 0.5;
-  }
-
-  /** Centres of the feet, world frame [m]. */
-  feet() {
-    return this.soles.map((sole) => [...this.data.geom_xpos.slice(3 * sole, 3 * sole + 3)]);
-  }
-
-  /** What is measured and drawn after a step. */
-  frame() {
-    const { qpos, qvel } = this.data;
-    const yaw = yawOf(this.base());
-    const [forward, left] = turned(heading(-yaw), [...qvel.slice(0, 3)]);
-    const { command, time_s, observer } = this;
-    return { time_s, position: [...qpos.slice(0, 3)], yaw, velocity: [forward, left, qvel[5]], command, felt: observer.low };
   }
 }

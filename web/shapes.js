@@ -5,13 +5,6 @@ import * as THREE from "./three.module.min.js";
 /** Lightness above which a robot's part takes on its colour, and how much of it. */
 const [LIGHT, TINT_SHARE] = [0.6, 0.7];
 
-/** True where no graphics processor draws. */
-export const IS_SOFTWARE = (() => {
-  const context = document.createElement("canvas").getContext("webgl");
-  const about = context?.getExtension("WEBGL_debug_renderer_info");
-  return /swiftshader|llvmpipe|software/i.test(about ? context.getParameter(about.UNMASKED_RENDERER_WEBGL) : "");
-})();
-
 export const up = new THREE.Vector3(0, 0, 1);
 export const vector = (array) => new THREE.Vector3(...array);
 const upright = (geometry) => geometry.rotateX(Math.PI / 2);
@@ -76,23 +69,13 @@ export class Arrow extends THREE.Group {
 }
 
 /** The pattern of the ground, which repeats every metre: squares of half a metre, and lines. */
-export function pattern(square, other, line, repeats) {
-  const canvas = Object.assign(document.createElement("canvas"), { width: 256, height: 256 });
-  const brush = canvas.getContext("2d");
-  const paint = (colour, ...area) => {
+export function pattern(square, other, line) {
+  const brush = Object.assign(document.createElement("canvas"), { width: 256, height: 256 }).getContext("2d");
+  for (const [colour, ...area] of [[square, 0, 0, 256, 256], [other, 128, 0, 128, 128], [other, 0, 128, 128, 128]]) {
     brush.fillStyle = colour;
     brush.fillRect(...area);
-  };
-  paint(square, 0, 0, 256, 256);
-  paint(other, 128, 0, 128, 128);
-  paint(other, 0, 128, 128, 128);
-  brush.strokeStyle = line;
-  brush.lineWidth = 2;
-  brush.strokeRect(0, 0, 256, 256);
-  const texture = new THREE.CanvasTexture(canvas);
-  texture.wrapS = texture.wrapT = THREE.RepeatWrapping;
-  texture.colorSpace = THREE.SRGBColorSpace;
-  texture.anisotropy = IS_SOFTWARE ? 1 : 8;
-  texture.repeat.set(repeats, repeats);
-  return texture;
+  }
+  Object.assign(brush, { strokeStyle: line, lineWidth: 2 }).strokeRect(0, 0, 256, 256);
+  const texture = new THREE.CanvasTexture(brush.canvas);
+  return Object.assign(texture, { wrapS: THREE.RepeatWrapping, wrapT: THREE.RepeatWrapping, colorSpace: THREE.SRGBColorSpace });
 }

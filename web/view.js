@@ -1,7 +1,7 @@
 // The view of one robot: its ground and obstacles, what acts on it, its path, and the camera that follows it.
 
 import * as THREE from "./three.module.min.js";
-import { Arrow, mesh, pattern, up, vector } from "./shapes.js";
+import { Arrow, mesh, up, vector } from "./shapes.js";
 
 /** Colours of record/src/style.rs. */
 const COLOURS = { ground: 0x5ae1a5, hand: 0xd55e00, rope: 0xf0e442, felt: 0xcc79a7, doubted: 0xa0a0a0 };
@@ -32,7 +32,11 @@ export class View {
       feet: [0, 1, 2, 3].map(() => new Arrow(ground, 0.006)),
     };
     this.scene.add(this.trail, ...Object.values(this.marks).flat());
-    this.forget();
+  }
+
+  /** Frees what the graphics processor keeps of it. */
+  delete() {
+    this.scene.traverse((part) => [part.geometry, part.material, part].forEach((owner) => owner?.dispose?.()));
   }
 
   addBodies(parts, tint) {
@@ -49,21 +53,15 @@ export class View {
     });
   }
 
-  /** Forgets the path. */
-  forget() {
-    Object.assign(this, { dots: 0, dotted_s: -1, pushed: null });
-    this.trail.count = 0;
-  }
-
-  /** Takes colours of the style sheet. */
-  paint({ sky, square, other, grid }) {
+  /** Takes the colour of the sky, and the pattern of the ground. */
+  paint(sky, ground) {
     this.scene.background = this.scene.fog.color = new THREE.Color(sky);
-    this.floor.material.map?.dispose();
-    Object.assign(this.floor.material, { map: pattern(square, other, grid, GROUND_M), needsUpdate: true });
+    ground.repeat.set(GROUND_M, GROUND_M);
+    Object.assign(this.floor.material, { map: ground, needsUpdate: true });
   }
 
   /** Shows what the worker tells of the robot. */
-  show({ places, turns, position, yaw, feet, felt, force, pushed, time_s, isBeginning }) {
+  show({ places, turns, position, yaw, feet, felt, force, last, time_s, starts }) {
     for (const { body, drawn, shadow } of this.bodies) {
       drawn.position.fromArray(places, 3 * body);
       const [w, x, y, z] = turns.subarray(4 * body, 4 * body + 4);
@@ -73,21 +71,20 @@ export class View {
     }
     const trunk = vector(position);
     Object.assign(this, { trunk, yaw });
-    if (isBeginning) this.forget();
+    if (starts !== this.starts) Object.assign(this, { starts, dots: 0, dotted_s: -1 });
     const inWorld = (array, scale) => vector(array).applyAxisAngle(up, yaw).multiplyScalar(scale);
     const from = (direction, distance) => trunk.clone().addScaledVector(direction.clone().normalize(), distance);
     const { marks } = this;
     const [forward, left] = felt.force;
-    marks.felt.material.color.setHex(felt.doubted ? COLOURS.doubted : COLOURS.felt);
+    const { color, emissive } = marks.felt.material;
+    emissive.copy(color.setHex(felt.doubted ? COLOURS.doubted : COLOURS.felt));
     marks.felt.show(from(up, ABOVE_M), inWorld([forward, left, 0], METRES_PER_NEWTON));
     const scale = felt.doubted ? 0 : METRES_PER_NEWTON / 2;
     marks.feet.forEach((arrow, leg) => arrow.show(vector(feet[leg]), inWorld(felt.feet[leg], scale)));
     const pull = vector(force).multiplyScalar(METRES_PER_NEWTON);
     marks.hand.show(from(pull, ROPE_M), pull);
     marks.rope.show(trunk, marks.hand.visible ? pull.setLength(ROPE_M) : pull);
-    if (pushed) this.pushed = { until_s: time_s + PUSH_SHOWN_S, along: inWorld([...pushed, 0], METRES_PER_PUSH) };
-    if (this.pushed?.until_s < time_s) this.pushed = null;
-    const along = this.pushed?.along ?? new THREE.Vector3();
+    const along = vector(last && time_s < last.at_s + PUSH_SHOWN_S ? last.along : [0, 0, 0]).multiplyScalar(METRES_PER_PUSH);
     marks.push.show(from(along, -along.length() - BESIDE_M), along);
     this.leaveDot(time_s);
   }
@@ -102,7 +99,6 @@ export class View {
 
   /** Moves camera and ground along. */
   follow({ around, above, away }, passed_s) {
-    if (!this.trunk) return;
     const focus = new THREE.Vector3(this.trunk.x, this.trunk.y, 0.22);
     this.focus ??= focus.clone();
     this.focus.lerp(focus, this.focus.distanceTo(focus) < 2 ? 1 - Math.exp(-passed_s / CAMERA_LAG_S) : 1);

@@ -31,12 +31,12 @@ RATE_HZ = 60
 PLAY = """(async (scripts) => {
   const { Readout } = await import("./readout.js");
   const worker = new Worker("physics.js", { type: "module" });
-  const answer = () => new Promise((resolve, reject) => (worker.onmessage = ({ data }) =>
-    data.problem ? reject(new Error(data.problem)) : data.loaded || resolve(data)));
+  const answer = () => new Promise((resolve, reject) => (worker.onmessage = ({ data: [name, value] }) =>
+    name === "fail" ? reject(new Error(value)) : name === "frames" && resolve(value)));
   const played = [];
   for (const play of scripts) {
-    worker.postMessage({ play });
-    const { frames } = await answer();
+    worker.postMessage(["play", play]);
+    const frames = await answer();
     const readout = new Readout(1 / 60);
     for (const frame of frames) readout.note({ ...frame, pull: null });
     const some = ({ target, velocity, yaw, felt }) => ({ target, velocity, yaw, felt: felt.force });
@@ -129,7 +129,7 @@ def check_hands(page, pictures):
     time.sleep(1)  # The camera follows.
     # The flick is made in the page: over the pipe, events may come too late.
     flick = f"""(() => {{ const canvas = document.querySelector("#robots canvas"), [x, clientY] = {ROBOT}; canvas.setPointerCapture = () => 0;
-        for (const [kind, clientX] of [["down", x], ["move", x - 60], ["up", x - 60]])
+        for (const [kind, clientX] of [["down", x], ["move", x - 150], ["up", x - 150]])
           canvas.dispatchEvent(new PointerEvent("pointer" + kind, {{ pointerId: 9, clientX, clientY, bubbles: true }})); }})()"""
     page.value(flick)
     page.wait("state.robots.every(({ reading }) => reading?.push?.carried_m > 0.01)")
@@ -157,12 +157,18 @@ def check_fingers(page, pictures):
     page.wait("state.robots.every(({ reading }) => reading?.pull?.force_n > 10)")
     page.wait("state.robots[0].reading.pull.gives_m_s > state.robots[1].reading.pull.gives_m_s + 0.1")
     keep(page, pictures, "telephone, during")
+    page.touch("touchMove", (robot[0], 2))
+    page.wait("state.robots.every(({ reading }) => reading.pull.force_n > 50)")  # Above the horizon, too.
+    page.touch("touchStart", (robot[0], 2), robot)
+    page.wait("state.robots.every(({ reading }) => reading.pull === null)")  # Two fingers zoom.
     page.touch("touchEnd")
-    page.wait("state.robots.every(({ reading }) => reading.pull === null)")
     page.value("state.send('push', [0, 6])")
     page.wait("state.poses.some(({ lies }) => lies) && state.robots.some(({ falls }) => falls)")
     page.value("document.querySelector('#stand').click()")
     page.wait("state.poses.every(({ lies, position }) => !lies && position[2] > 0.28)")
+    falls = page.value("state.robots.map(({ falls }) => falls)")
+    page.value("state.send('push', [1e9, 0])")  # Too large for MuJoCo, which starts anew: a fall.
+    page.wait(f"state.robots.every(({{ falls }}, robot) => falls > {falls}[robot])")
 
 
 def keep(page, pictures, name):
