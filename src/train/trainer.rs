@@ -502,6 +502,25 @@ mod tests {
     }
 
     #[test]
+    fn run_from_a_policy_teaches_its_critic_first() {
+        let small = ["ppo.batch_size=128", "ppo.minibatch_size=64", "ppo.environments=8", "run.start_from=compliant"];
+        let config = Config::load_with("fast", &small.map(str::to_owned)).unwrap();
+        let mut trainer = Trainer::new("test", config.clone(), 1, 1).unwrap();
+        let (before, policy) = (trainer.learner.parameters(), shipped::find_ours("compliant-seed1").unwrap());
+        assert_eq!((&before.policy, trainer.run().curriculum), (&policy.actor, Curriculum::complete()));
+        trainer.iterate().unwrap();
+        let after = trainer.learner.parameters();
+        assert!(before.policy == after.policy && before.log_std == after.log_std && before.value != after.value);
+        trainer.run.iteration = CRITIC_FIRST;
+        trainer.iterate().unwrap();
+        assert!(trainer.learner.parameters().policy != policy.actor);
+        for (change, differs) in [("ppo.hidden_layers=[16]", "ppo.hidden_layers"), ("action.scale_rad=0.5", "action")] {
+            let error = Trainer::new("test", config.with(&[change.to_owned()]).unwrap(), 0, 1).unwrap_err().to_string();
+            assert!(error.contains("run.start_from") && error.contains(&format!("`{differs}`")), "{error}");
+        }
+    }
+
+    #[test]
     fn training_has_same_bits_for_any_threads_and_resumption() {
         let run = |config: &Config, threads: [usize; 3]| {
             let mut trainer = Trainer::new("test", config.clone(), 3, threads[0]).unwrap();

@@ -7,6 +7,7 @@ use supple::mujoco::Object;
 use supple::policy::Agent;
 use supple::scenario::catalog::{DEFAULTS, Scenario};
 use supple::scenario::estimation::Estimation;
+use supple::scenario::metrics::in_world;
 use supple::scenario::trace::{DisturbanceMark, EventKind, Trace};
 use supple::scenario::{Playback, Script, Sensing};
 use supple::util::yaml::{Text, flat_parameters};
@@ -208,6 +209,32 @@ fn odd_numbers_of_balls_and_strong_leashes_do_not_crash() {
         let trace = trace(&scenario("leash", &["--duration-s=4", "--at-s=0.5", force]), 0);
         assert!(!trace.frames.is_empty() && trace.events.iter().all(|event| !event.text.contains("unstable")));
     }
+}
+
+#[test]
+fn set_point_commands_a_pulled_robot_back() {
+    let changes = ["--forward-m-s=0", "--set-point-per-s=2", "--force-n=60", "--at-s=0", "--duration-s=1.5"];
+    let trace = trace(&scenario("leash", &changes), 0);
+    let commands = trace
+        .frames
+        .windows(2)
+        .map(|pair| (&pair[0], in_world([pair[1].command.forward, pair[1].command.left], pair[0].roll_pitch_yaw[2])));
+    let points: Vec<[f64; 2]> =
+        commands.map(|(at, command)| [0, 1].map(|axis| at.position[axis] + command[axis] / 2.0)).collect();
+    // All commands lead back to one point, the start.
+    assert!(
+        points.iter().flat_map(|point| [0, 1].map(|axis| point[axis] - points[0][axis])).all(|off| off.abs() < 1e-9)
+    );
+    let last = trace.frames.last().unwrap();
+    assert!(last.position[1] > 0.01 && last.command.left < -0.02, "{:?}", last.command);
+}
+
+#[test]
+fn pushes_grow_from_one_to_the_next() {
+    let script =
+        script(&scenario("push", &["--every-s=1", "--growth-m-s=0.25", "--for-s=0.1", "--direction-deg=0"]), 0);
+    let pushes: Vec<_> = script.pushes().map(|push| (push.linear[0], push.for_s)).collect();
+    assert_eq!(pushes[..3], [(0.5, 0.1), (0.75, 0.1), (1.0, 0.1)]);
 }
 
 #[test]
