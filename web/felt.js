@@ -35,7 +35,7 @@ export class ForceObserver {
     this.reset();
   }
 
-  /** Forgets all: the robot has been put elsewhere. */
+  /** Clears the history, after the robot was moved. */
   reset(velocity = Array(6).fill(0)) {
     Object.assign(this, { velocity, before: null, now: NONE, lines: Array(3).fill([0, 0, 0]), lift: 0, readings: [], low: NONE });
   }

@@ -47,7 +47,7 @@ export function listenToHand(picture, on) {
     if (pointers.size > 1 || !trunk || ray(index, event).distanceToPoint(trunk) > GRAB_M) return;
     const hand = { index, event, part: null };
     held = hand;
-    // A hand that rests pulls, too.
+    // A pointer that does not move keeps pulling.
     setTimeout(() => held === hand && hand.part && on.pull(hand.part), FLICK_MS + 1);
   });
 
@@ -55,7 +55,7 @@ export function listenToHand(picture, on) {
     const before = pointers.get(event.pointerId);
     if (!before) return;
     if (held) {
-      // Both as the camera sees them now, which follows the robot: a finger that rests pulls alike.
+      // Both relative to the camera, which follows the robot: a pointer at rest keeps its force.
       const drag = place(held.index, event).sub(place(held.index, held.event));
       const { x, y } = drag.applyAxisAngle(up, -picture.views[held.index].yaw).divideScalar(Math.max(REACH_M, drag.length()));
       held.part = [x, y];

@@ -1,4 +1,4 @@
-// The page: what hands do goes to the worker that plays the robots, and what it answers is drawn and read.
+// The page: input goes to the worker that simulates the robots; its answers are drawn and shown as numbers.
 
 import { fractions, listenToKeys, listenToStick } from "./command.js";
 import { show as showCompliance } from "./compliance.js";
@@ -33,7 +33,7 @@ const pull = (force) => {
   if (force) dismiss("Drag a robot");
 };
 
-// ---- what hands do
+// ---- input
 
 let sent = "";
 const command = () => {
@@ -47,7 +47,7 @@ listenToStick($("wheel"), "turn", command);
 setInterval(command, 60); // A gamepad reports nothing by itself.
 listenToPad($("pad"), $("said"), () => "m/s", (unit) => MOST[unit], { push, pull });
 
-const clock = () => send("clock", { speed, paused: paused || document.hidden }); // A hidden page rests.
+const clock = () => send("clock", { speed, paused: paused || document.hidden }); // A hidden page pauses.
 document.addEventListener("visibilitychange", clock);
 const pause = () => {
   paused = !paused;

@@ -60,7 +60,7 @@ export class View {
     Object.assign(this.floor.material, { map: ground, needsUpdate: true });
   }
 
-  /** Shows what the worker tells of the robot. */
+  /** Updates the robot from the worker's message. */
   show({ places, turns, position, yaw, feet, felt, force, last, time_s, starts }) {
     for (const { body, drawn, shadow } of this.bodies) {
       drawn.position.fromArray(places, 3 * body);
