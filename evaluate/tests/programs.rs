@@ -188,7 +188,7 @@ fn equal_evaluations_give_equal_summaries() {
     assert!(decay["compliant"]["by_seed"]["0"].is_number());
     assert_eq!(decay["compliant"]["by_seed"]["0"], decay["baseline"]["by_seed"]["0"]);
     assert_eq!(decay["baseline"]["by_seed"]["1"], Value::Null, "a fall has no decay time");
-    assert_eq!(experiment(&summary, "decay")["trials"]["baseline"]["falls"], 2);
+    assert_eq!(experiment(&summary, "decay")["trials"]["baseline"]["falls"], 4);
 
     // Finished measurements are kept; `--again` repeats them.
     let before = place.kept("one");

@@ -503,10 +503,10 @@ mod tests {
 
     #[test]
     fn run_from_a_policy_teaches_its_critic_first() {
-        let small = ["ppo.batch_size=128", "ppo.minibatch_size=64", "ppo.environments=8", "run.start_from=compliant"];
-        let config = Config::load_with("fast", &small.map(str::to_owned)).unwrap();
+        let small = ["ppo.batch_size=128", "ppo.minibatch_size=64", "ppo.environments=8", "run.start_from=real"];
+        let config = Config::load_with("real", &small.map(str::to_owned)).unwrap();
         let mut trainer = Trainer::new("test", config.clone(), 1, 1).unwrap();
-        let (before, policy) = (trainer.learner.parameters(), shipped::find_ours("compliant-seed1").unwrap());
+        let (before, policy) = (trainer.learner.parameters(), shipped::find_ours("real-seed1").unwrap());
         assert_eq!((&before.policy, trainer.run().curriculum), (&policy.actor, Curriculum::complete()));
         trainer.iterate().unwrap();
         let after = trainer.learner.parameters();

@@ -10,6 +10,7 @@ use supple::scenario::estimation::Estimation;
 use supple::scenario::metrics::in_world;
 use supple::scenario::trace::{DisturbanceMark, EventKind, Trace};
 use supple::scenario::{Playback, Script, Sensing};
+use supple::task::Command;
 use supple::util::yaml::{Text, flat_parameters};
 
 use crate::support::standing_policy;
@@ -213,20 +214,18 @@ fn odd_numbers_of_balls_and_strong_leashes_do_not_crash() {
 
 #[test]
 fn set_point_commands_a_pulled_robot_back() {
-    let changes = ["--forward-m-s=0", "--set-point-per-s=2", "--force-n=60", "--at-s=0", "--duration-s=1.5"];
+    let changes = ["--forward-m-s=0", "--set-point-per-s=1", "--force-n=30", "--at-s=0", "--duration-s=1"];
     let trace = trace(&scenario("leash", &changes), 0);
-    let commands = trace
-        .frames
-        .windows(2)
-        .map(|pair| (&pair[0], in_world([pair[1].command.forward, pair[1].command.left], pair[0].roll_pitch_yaw[2])));
-    let points: Vec<[f64; 2]> =
-        commands.map(|(at, command)| [0, 1].map(|axis| at.position[axis] + command[axis] / 2.0)).collect();
+    let mut points = trace.frames.windows(2).map(|pair| {
+        let Command { forward, left, .. } = pair[1].command;
+        let back = in_world([forward, left], pair[0].roll_pitch_yaw[2]);
+        [0, 1].map(|axis| pair[0].position[axis] + back[axis])
+    });
     // All commands lead back to one point, the start.
-    assert!(
-        points.iter().flat_map(|point| [0, 1].map(|axis| point[axis] - points[0][axis])).all(|off| off.abs() < 1e-9)
-    );
+    let first = points.next().unwrap();
+    assert!(points.all(|point| (0..2).all(|axis| (point[axis] - first[axis]).abs() < 1e-9)));
     let last = trace.frames.last().unwrap();
-    assert!(last.position[1] > 0.01 && last.command.left < -0.02, "{:?}", last.command);
+    assert!(last.position[1] > 0.01 && (-0.4..-0.01).contains(&last.command.left), "{:?}", last.command);
 }
 
 #[test]

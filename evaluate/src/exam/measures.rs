@@ -43,16 +43,16 @@ const fn measure(
 
 /// All measures in the order of the page.
 pub const MEASURES: &[Measure] = &[
-    measure("compliance", "m/s/N", "leash", "offset_m_s", |scenario, offset| match scenario {
+    measure("own compliance", "m/s/N", "leash", "offset_m_s", |scenario, offset| match scenario {
         Scenario::Leash(leash) => Some(offset / leash.force_n),
         _ => None,
     }),
-    measure("error of commanded compliance", "%", "calibration", "compliance_m_s_per_n", |scenario, found| {
+    measure("compliance error", "%", "calibration", "compliance_m_s_per_n", |scenario, found| {
         let commanded = scenario.task().compliance.filter(|_| matches!(scenario, Scenario::Leash(_)))?;
         Some(100.0 * (found / commanded - 1.0).abs())
     }),
-    measure("error of stiffness", "%", "set-point", "stiffness_error", |_, error| Some(100.0 * error)),
-    measure("error of return", "m", "set-point", "return_error_m", |_, error| Some(error)),
+    measure("stiffness error", "%", "set-point", "stiffness_error", |_, error| Some(100.0 * error)),
+    measure("return error", "m", "set-point", "return_error_m", |_, error| Some(error)),
     measure("tension of the leash", "N", "lead", "mean_tension_n", |_, tension| Some(tension)),
     measure("impulse at the wall", "N·s", "wall", "blow_n_s", |_, impulse| Some(impulse)),
     measure("impulse survived, 0.1 s", "N·s", "shove", "survived_n_s", |scenario, found| within(scenario, 0.1, found)),

@@ -63,7 +63,7 @@ impl Experiment for SetPoint {
         let [x, y] = pull.force.map(|part| part / self.force_n);
         let last = metrics::window(trial.trace, pull.until_s - self.average_s, pull.until_s);
         let moved_m = metrics::mean(last, |frame| frame.position[0] * x + frame.position[1] * y);
-        let stiffness = moved_m.map(|moved_m| self.force_n / moved_m);
+        let stiffness = moved_m.filter(|moved_m| *moved_m != 0.0).map(|moved_m| self.force_n / moved_m);
         values[0] = stiffness;
         values[1] = stiffness.map(|found| (found * compliance / self.set_point_per_s - 1.0).abs().min(1.0));
         values[2] = trial.trace.frames.last().map(|frame| frame.position[0].hypot(frame.position[1]));
