@@ -514,7 +514,9 @@ mod tests {
         trainer.run.iteration = CRITIC_FIRST;
         trainer.iterate().unwrap();
         assert!(trainer.learner.parameters().policy != policy.actor);
-        for (change, differs) in [("ppo.hidden_layers=[16]", "ppo.hidden_layers"), ("action.scale_rad=0.5", "action")] {
+        for (change, differs) in
+            [("ppo.hidden_layers=[16]", "ppo.hidden_layers"), ("action.scale_rad=0.5", "observation")]
+        {
             let error = Trainer::new("test", config.with(&[change.to_owned()]).unwrap(), 0, 1).unwrap_err().to_string();
             assert!(error.contains("run.start_from") && error.contains(&format!("`{differs}`")), "{error}");
         }
