@@ -162,9 +162,7 @@ impl Renderer {
                 message.as_mut_ptr(),
             )
         };
-        if failed != 0 {
-            return Err(Error::Renderer(text(&message)));
-        }
+        ensure!(failed == 0, Error::Renderer(text(&message)));
         Ok(self.upside_down.chunks(3 * self.size[0]).rev().flatten().copied().collect())
     }
 }

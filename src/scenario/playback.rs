@@ -415,9 +415,13 @@ impl<'a> Playback<'a> {
 }
 
 impl<'a> Playback<'a> {
-    /// Returns the present command.
-    pub fn command(&self) -> &Command {
-        &self.command
+    methods! {
+        /// Returns the present command.
+        fn command(&self) -> &Command = &self.command;
+        /// Pulls the trunk with a constant force, forward and left in the heading frame \[N\]; `None` ends the pull.
+        fn pull(&mut self, force: Option<[f64; 2]>) = self.world.pull_by_hand(force);
+        /// Returns true if physics or sensors have failed; then only [`Playback::restart`] helps.
+        fn has_failed(&self) -> bool = self.failed;
     }
 
     /// Changes the command from the next step on. A commanded compliance needs [`Playback::with_felt_forces`] from the start.
@@ -430,11 +434,6 @@ impl<'a> Playback<'a> {
         let at_s = self.world.time_s();
         // A push needs no part of the scene.
         let _ = self.world.disturb(Disturbance::Push(Push { at_s, linear, ..Push::default() }));
-    }
-
-    /// Pulls the trunk with a constant force, forward and left in the heading frame \[N\]; `None` ends the pull.
-    pub fn pull(&mut self, force: Option<[f64; 2]>) {
-        self.world.pull_by_hand(force);
     }
 
     /// Holds the script's clock at zero, for a robot that first has to get up: until it is released, there are no disturbances
@@ -468,11 +467,6 @@ impl<'a> Playback<'a> {
         self.passed_goal_since = None;
         self.begin_again();
         Ok(())
-    }
-
-    /// Returns true if physics or sensors have failed; then only [`Playback::restart`] helps.
-    pub fn has_failed(&self) -> bool {
-        self.failed
     }
 
     fn begin_again(&mut self) {

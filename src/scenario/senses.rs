@@ -128,9 +128,7 @@ impl Senses {
         target: &Joints,
     ) -> Result<Self, SensingError> {
         let timestep_s = sim.data().model().timestep_s();
-        if (timestep_s * RATE_HZ - 1.0).abs() > 1e-6 {
-            return Err(SensingError::Rate(1.0 / timestep_s));
-        }
+        ensure!((timestep_s * RATE_HZ - 1.0).abs() <= 1e-6, SensingError::Rate(1.0 / timestep_s));
         let mut rng = stream(seed, Purpose::Sensor, 0, 0);
         let state = sim.state();
         let robot = Arc::clone(sim.robot());

@@ -171,12 +171,8 @@ impl Checkpoint {
                 all.push(StoredTensor::f32(format!("{group}.{name}"), shape, values));
             }
         }
-        let metadata = Metadata {
-            format: FORMAT,
-            sha256: checksum(&run, &self.learner),
-            optimiser_steps: self.learner.steps,
-            learning_rate: self.learner.learning_rate,
-        };
+        let (sha256, optimiser_steps) = (checksum(&run, &self.learner), self.learner.steps);
+        let metadata = Metadata { format: FORMAT, sha256, optimiser_steps, learning_rate: self.learner.learning_rate };
         all.push(StoredTensor::u8(RUN, run));
         tensors::serialize(&all, serde_json::to_string(&metadata)?)
     }
@@ -196,16 +192,12 @@ impl Checkpoint {
             steps: metadata.optimiser_steps,
             learning_rate: metadata.learning_rate,
         };
-        if checksum(json, &learner) != metadata.sha256 {
-            return Err(CheckpointError::Damaged);
-        }
+        ensure!(checksum(json, &learner) == metadata.sha256, CheckpointError::Damaged);
         let run: RunState = tensors::from_json(json).map_err(CheckpointError::Run)?;
         run.config.check()?;
         let Curriculum { command_fraction, force_fraction, .. } = run.curriculum;
         for (name, found) in [("command_fraction", command_fraction), ("force_fraction", force_fraction)] {
-            if !(0.0..=1.0).contains(&found) {
-                return Err(CheckpointError::Curriculum { name, found });
-            }
+            ensure!((0.0..=1.0).contains(&found), CheckpointError::Curriculum { name, found });
         }
         Ok(Checkpoint { run, learner })
     }

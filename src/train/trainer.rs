@@ -288,12 +288,8 @@ impl Trainer {
                     1 => circumstances.remove(0),
                     _ => serde_json::Value::Array(circumstances),
                 };
-                return Err(TrainError::Learner {
-                    iteration: self.run.iteration,
-                    minibatch,
-                    circumstances: format!("{circumstances:#}\n"),
-                    fault: Box::new(fault),
-                });
+                let (iteration, circumstances) = (self.run.iteration, format!("{circumstances:#}\n"));
+                return Err(TrainError::Learner { iteration, minibatch, circumstances, fault: Box::new(fault) });
             }
         };
 
@@ -359,11 +355,6 @@ impl Trainer {
         orders
     }
 
-    /// Returns the physics faults of the last iteration, by environment and then time.
-    pub fn faults(&self) -> &[EpisodeFault] {
-        &self.faults
-    }
-
     /// Returns the state to resume from, complete on every rank.
     ///
     /// # Errors
@@ -388,14 +379,13 @@ impl Trainer {
         Policy::new(&self.learner.parameters(), robot, Layout::clone(layout), provenance)
     }
 
-    /// Returns the ranks that train the run.
-    pub fn ranks(&self) -> &dyn Ranks {
-        &*self.ranks
-    }
-
-    /// Returns configuration and progress, without the environments.
-    pub fn run(&self) -> &RunState {
-        &self.run
+    methods! {
+        /// Returns the physics faults of the last iteration, by environment and then time.
+        fn faults(&self) -> &[EpisodeFault] = &self.faults;
+        /// Returns the ranks that train the run.
+        fn ranks(&self) -> &dyn Ranks = &*self.ranks;
+        /// Returns configuration and progress, without the environments.
+        fn run(&self) -> &RunState = &self.run;
     }
 }
 
@@ -423,9 +413,7 @@ fn mirror(config: &Config, shared: &Shared) -> Result<Option<Mirror>, TrainError
 /// Checks that the shards can be divided equally among the ranks.
 fn check_ranks(config: &Config, ranks: &dyn Ranks) -> Result<(), TrainError> {
     let (shards, count) = (config.ppo.shards, ranks.count());
-    if !count.is_power_of_two() {
-        return Err(TrainError::Count(count));
-    }
+    ensure!(count.is_power_of_two(), TrainError::Count(count));
     if shards.is_multiple_of(count) {
         return Ok(());
     }

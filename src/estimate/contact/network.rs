@@ -242,9 +242,7 @@ fn parse(bytes: &[u8]) -> Result<ContactNetwork, ContactFileFault> {
     let scale = tensors::read_f32(&tensors, "normaliser.scale", &[INPUTS])?;
     let network = ContactNetwork::new(mlp, offset, scale, metadata.provenance);
     let found = network.checksum();
-    if found != metadata.checksum {
-        return Err(ContactFileFault::Damaged { found, expected: metadata.checksum });
-    }
+    ensure!(found == metadata.checksum, ContactFileFault::Damaged { found, expected: metadata.checksum });
     Ok(network)
 }
 

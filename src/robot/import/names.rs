@@ -113,9 +113,7 @@ impl Description {
             if let Some(first) = (0..index).find(|first| joints[*first] == joints[index]) {
                 return Err(RobotError::JointTwice { name: name(), first, second: index });
             }
-            if !model.is_hinge(joints[index]) {
-                return Err(RobotError::NoHinge { name: name(), joint: index });
-            }
+            ensure!(model.is_hinge(joints[index]), RobotError::NoHinge { name: name(), joint: index });
         }
         Ok(joints)
     }

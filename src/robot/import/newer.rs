@@ -136,14 +136,8 @@ pub(super) fn translate(tree: &Element, files: &Files) -> Result<Translated, Rob
         sequence: setting("eulerseq").unwrap_or("xyz").to_owned(),
     };
     let autolimits = setting("autolimits") != Some("false");
-    let mut translator = Translator {
-        files,
-        classes: Classes::new(tree),
-        angles,
-        autolimits,
-        translated: Translated::default(),
-        left_out: Vec::new(),
-    };
+    let (classes, translated) = (Classes::new(tree), Translated::default());
+    let mut translator = Translator { files, classes, angles, autolimits, translated, left_out: Vec::new() };
     let mut root = Element { children: Vec::new(), ..tree.clone() };
     root.attributes.clear();
     for section in &tree.children {
@@ -178,9 +172,7 @@ impl Translator<'_> {
         if LEFT_OUT_SECTIONS.contains(&name) {
             return Ok(None);
         }
-        if !SECTIONS.contains(&name) {
-            return Err(self.unknown(section, &format!("<{name}>")));
-        }
+        ensure!(SECTIONS.contains(&name), self.unknown(section, &format!("<{name}>")));
         let mut own = Element { children: Vec::new(), ..section.clone() };
         match name {
             "compiler" => self.compiler(&mut own)?,
