@@ -129,10 +129,7 @@ fn row<'a>(of: &'a Value, table: &str, condition: &str, quantity: &str) -> &'a V
 #[test]
 fn examination_grades_a_policy_beside_the_references() {
     let place = Place::new(&[("mine", falling_policy())]);
-    place.write(
-        "tiny.yaml",
-        format!("{TINY}calibration: {{compliances: [0.02], commands_m_s: [0.5], directions: 3}}\n"),
-    );
+    place.write("tiny.yaml", format!("{TINY}calibration: {{compliances: [0.02],commands_m_s: [0.5],directions: 3}}\n"));
     let notes = place.evaluate("--exam policies/mine.safetensors --out exam");
     let exam: Value = serde_json::from_str(&place.read("exam/exam.json")).unwrap();
     assert_eq!(exam["names"], json!(["mine", "compliant", "baseline"]));

@@ -153,12 +153,9 @@ impl Sensors {
     /// Switches the sensors on and draws their constant errors. `rng` is a stream of
     /// [`crate::util::random::Purpose::Sensor`].
     pub fn new(noise: SensorNoise, rng: &mut impl Rng) -> Self {
-        Sensors {
-            gyro_bias: noise.gyro_bias_rad_s * normal(rng),
-            accelerometer_bias: noise.accelerometer_bias_m_s2 * normal(rng),
-            filtered_rates: None,
-            noise,
-        }
+        let gyro_bias = noise.gyro_bias_rad_s * normal(rng);
+        let accelerometer_bias = noise.accelerometer_bias_m_s2 * normal(rng);
+        Sensors { gyro_bias, accelerometer_bias, filtered_rates: None, noise }
     }
 
     /// Adds noise and bias to an exact IMU reading, `dt_s` \[s\] after the last one.

@@ -360,10 +360,7 @@ mod tests {
         let straight = Model::from_xml(&[("robot.xml", robot.mjcf())]).unwrap();
         let turned = robot
             .mjcf()
-            .replace(
-                r#"<body name="FR_calf" pos="0 0 -0.213">"#,
-                r#"<body name="FR_calf" pos="0 0 -0.213" quat="0 0 0 1">"#,
-            )
+            .replace(r#""FR_calf" pos="0 0 -0.213">"#, r#""FR_calf" pos="0 0 -0.213" quat="0 0 0 1">"#)
             .replace(
                 r#"<joint name="FR_calf_joint" class="go1_calf"/>"#,
                 r#"<joint name="FR_calf_joint" class="go1_calf" ref="0.3"/>"#,

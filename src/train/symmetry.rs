@@ -185,18 +185,12 @@ mod tests {
             ..RobotState::default()
         };
         let command = Command::velocity(0.9, side * 0.4, side * -0.3);
-        let (mut observer, layout, zero) = (Observer::new(), layout(), [0.0; 12]);
+        let (mut observer, layout) = (Observer::new(), layout());
+        let (zero, privileged) = (&[0.0; 12], Privileged::default());
         for age in [0.01, 0.0] {
-            let (state, last_target) = (&state(age), &angles);
-            let now = ObservationInput {
-                state,
-                command: &command,
-                last_action: &zero,
-                last_target,
-                nominal: &zero,
-                time_s: 0.0,
-                privileged: Privileged::default(),
-            };
+            let (state, command, last_target) = (&state(age), &command, &angles);
+            let (last_action, nominal) = (zero, zero);
+            let now = ObservationInput { state, command, last_action, last_target, nominal, time_s: 0.0, privileged };
             observer.measure(&layout, &now);
         }
         let mut seen = vec![0.0; LENGTH];

@@ -336,9 +336,7 @@ mod tests {
             complaint(&[whole, "inner:\n\n  count: 2e7\n"]),
             format!("b, line 3: {}", number.replace("2e7", "20000000.0"))
         );
-        assert!(
-            complaint(&[whole, "inner: {sizes: [1.0, no]}"]).starts_with("b, line 1: inner.sizes[1]: invalid type")
-        );
+        assert!(complaint(&[whole, "inner: {sizes: [1.0,no]}"]).starts_with("b, line 1: inner.sizes[1]: invalid type"));
         assert!(
             complaint(&[&whole.replace("count: 1\n  s", "count: -1\n  s"), "name: y"])
                 .starts_with("a, line 3: inner.count: ")

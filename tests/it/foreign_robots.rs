@@ -91,12 +91,8 @@ fn frames_are_poses_of_what_they_hold() {
     // A quarter turn about y takes x to −z.
     framed("<frame euler='0 1.5707963267948966 0'><geom size='0.02' pos='0.22 0 0'/></frame>", "", "angle='radian'");
     let ranges = ["range='-40.107 40.107'", "range='-57.2958 171.887'", "range='-148.969 -28.6479'"];
-    let degrees = Foreign {
-        compiler: "",
-        ranges,
-        foot: "<frame euler='0 90 0'><frame pos='0.1 0 0'><geom size='0.02' pos='0.12 0 0'/></frame></frame>",
-        ..foreign()
-    };
+    let foot = "<frame euler='0 90 0'><frame pos='0.1 0 0'><geom size='0.02' pos='0.12 0 0'/></frame></frame>";
+    let degrees = Foreign { compiler: "", ranges, foot, ..foreign() };
     assert!((height(&degrees.robot()) - HEIGHT).abs() < 1e-6);
     // The class of a frame, and numbers that only the class has.
     let classes =
@@ -128,9 +124,8 @@ fn legs_may_be_fixed_to_the_trunk_by_bodies_of_their_own() {
     let robot = read(&text.replacen("</body></body></body>", "</body></body></body></body>", 1)).unwrap();
     assert!((height(&robot) - HEIGHT).abs() < 1e-6 && (robot.mass_kg - 13.7).abs() < 1e-9);
     let plain = foreign().robot();
-    assert!(
-        (robot.legs[1].foot_position([0.0, 0.6, -1.2]) - plain.legs[1].foot_position([0.0, 0.6, -1.2])).norm() < 1e-12
-    );
+    let foot = |robot: &Robot| robot.legs[1].foot_position([0.0, 0.6, -1.2]);
+    assert!((foot(&robot) - foot(&plain)).norm() < 1e-12);
 }
 
 #[test]
@@ -147,10 +142,7 @@ fn words_that_cannot_be_translated_are_refused_with_line_and_version() {
             "line 3: builtin of <mesh 'm'>",
         ),
         (Foreign { parts: "<frame scale='2'/>", ..foreign() }, "scale of <frame> needs MuJoCo 3.16"),
-        (
-            Foreign { actuator: "<motor joint='{}' armature='0.1' ctrlrange='-1 1'/>", ..foreign() },
-            "armature of <motor>",
-        ),
+        (Foreign { actuator: "<motor joint='{}' armature='1' ctrlrange='-1 1'/>", ..foreign() }, "armature of <motor>"),
         (
             Foreign { joint: "rnage='1 2'", ..foreign() },
             "line 9: the attribute 'rnage' of <joint 'FL_hip_joint'> is unknown to MuJoCo 2.2.2",
@@ -190,9 +182,7 @@ fn joints_without_limits_stay_without() {
     let free = Foreign { ranges: [""; 3], ..foreign() }.robot();
     assert_eq!(free.joint_limits, [[f64::NEG_INFINITY, f64::INFINITY]; JOINTS]);
     assert!((height(&free) - HEIGHT).abs() < 1e-6);
-    assert!(
-        free.description().contains("none") && free.report.iter().any(|line| line.starts_with("joint limits: none"))
-    );
+    assert!(free.description().contains("none") && free.report.iter().any(|it| it.starts_with("joint limits: none")));
     let off = Foreign { joint: "limited='false'", ..foreign() }.robot();
     assert_eq!(off.joint_limits, free.joint_limits);
     let by_setting = Foreign { compiler: "angle='radian' autolimits='false'", joint: "limited='true'", ..foreign() };
@@ -368,12 +358,8 @@ fn names_and_settings_of_a_robot_stay_its_own() {
     let scene = Scene { obstacles: obstacles.into(), ground, ..Scene::flat(robot, 1.0 / 240.0) };
     let model = scene.compile().unwrap();
     let mass = |name: &str| model.body_mass()[model.id(Object::Body, name).unwrap()];
-    assert!(
-        (mass("ball_0") - 0.02).abs() < 1e-12 && (mass("box") - 0.0335).abs() < 1e-4,
-        "{} {}",
-        mass("ball_0"),
-        mass("box")
-    );
+    let [ball, carton] = ["ball_0", "box"].map(&mass);
+    assert!((ball - 0.02).abs() < 1e-12 && (carton - 0.0335).abs() < 1e-4, "{ball} {carton}");
     assert_eq!(mass("FR_calf"), 0.35);
     assert!(model.id(Object::Body, "robot/trunk").is_ok() && model.id(Object::Body, "robot/ground").is_ok());
     let total = Foreign { compiler: "angle='radian' settotalmass='20' coordinate='local'", ..foreign() }.robot();
@@ -383,22 +369,15 @@ fn names_and_settings_of_a_robot_stay_its_own() {
 #[test]
 fn degrees_are_radians_in_other_words() {
     let ranges = ["range='-40 40'", "range='-50 170'", "range='-150 -30'"];
-    let degrees = Foreign {
-        compiler: "",
-        ranges,
-        parts: "<body pos='1 0 0'><geom size='.1' axisangle='0 0 1 90'/></body>",
-        ..foreign()
-    };
+    let parts = "<body pos='1 0 0'><geom size='.1' axisangle='0 0 1 90'/></body>";
+    let degrees = Foreign { compiler: "", ranges, parts, ..foreign() };
     let robot = degrees.robot();
     let expected = [[-40.0_f64, 40.0], [-50.0, 170.0], [-150.0, -30.0]].map(|range| range.map(f64::to_radians));
     for (found, expected) in robot.joint_limits.iter().zip(expected) {
         assert!((0..2).all(|end| (found[end] - expected[end]).abs() < 1e-15), "{found:?} {expected:?}");
     }
-    assert!(
-        robot.mjcf().contains("angle=\"radian\"") && robot.mjcf().contains("1.5707963267948966"),
-        "{}",
-        robot.mjcf()
-    );
+    let mjcf = robot.mjcf();
+    assert!(mjcf.contains("angle=\"radian\"") && mjcf.contains("1.5707963267948966"), "{mjcf}");
 }
 
 #[test]
@@ -631,11 +610,8 @@ fn joints_beside_those_of_the_legs_are_welded() {
     assert!(error.contains("joints beside those of four legs: arm_1, arm_2; name them under weld"), "{error}");
     let robot = described(&armed, "weld: [arm_1, arm_2]").unwrap();
     assert!((robot.mass_kg - 14.2).abs() < 1e-9 && (height(&robot) - HEIGHT).abs() < 1e-6, "{}", robot.mass_kg);
-    assert!(
-        robot.report.contains(&"welded: arm_1, arm_2, at the angles of its keyframe".to_owned()),
-        "{:?}",
-        robot.report
-    );
+    let report = &robot.report;
+    assert!(report.contains(&"welded: arm_1, arm_2, at the angles of its keyframe".to_owned()), "{report:?}");
     let mut sim = supple::mujoco::Data::new(Scene::flat(Arc::clone(&robot), 1.0 / 240.0).compile().unwrap()).unwrap();
     sim.step1().unwrap();
     let place = |name: &str| {

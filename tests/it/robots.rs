@@ -63,11 +63,8 @@ fn robot_without_pose_trains_with_bent_knees() {
         assert!((foot.x - place).abs() < 0.002, "{foot}");
     }
     let ratio = (40.0 / 13.100_448) * height / 0.340_27;
-    assert!(
-        (config.simulation.kp_n_m_per_rad.largest() / (40.0 * ratio) - 1.0).abs() < 0.01,
-        "{:?}",
-        config.simulation
-    );
+    let gain = config.simulation.kp_n_m_per_rad.largest();
+    assert!((gain / (40.0 * ratio) - 1.0).abs() < 0.01, "{gain}");
     assert!((config.reward.base_height_m / (0.31 * height / 0.340_27) - 1.0).abs() < 0.01, "{:?}", config.reward);
 
     // What the command line says has the last word, and a run goes on with its robot.

@@ -222,9 +222,7 @@ fn set_point_commands_a_pulled_robot_back() {
     let points: Vec<[f64; 2]> =
         commands.map(|(at, command)| [0, 1].map(|axis| at.position[axis] + command[axis] / 2.0)).collect();
     // All commands lead back to one point, the start.
-    assert!(
-        points.iter().flat_map(|point| [0, 1].map(|axis| point[axis] - points[0][axis])).all(|off| off.abs() < 1e-9)
-    );
+    assert!(points.iter().flat_map(|it| [0, 1].map(|axis| it[axis] - points[0][axis])).all(|off| off.abs() < 1e-9));
     let last = trace.frames.last().unwrap();
     assert!(last.position[1] > 0.01 && last.command.left < -0.02, "{:?}", last.command);
 }

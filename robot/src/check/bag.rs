@@ -153,11 +153,8 @@ pub(super) mod tests {
 
     fn columns() -> Columns {
         let constants = [("command_forward", 0.4), ("command_left", 0.2), ("command_yaw", 0.3), (COMPLIANCE, 0.02)];
-        Columns {
-            constants: constants.map(|(name, value)| (name.to_owned(), value)).into(),
-            from_s: 0.01,
-            ..Columns::default()
-        }
+        let constants = constants.map(|(name, value)| (name.to_owned(), value)).into();
+        Columns { constants, from_s: 0.01, ..Columns::default() }
     }
 
     fn read_bytes(bytes: &[u8], columns: &Columns) -> Result<LogRows, String> {

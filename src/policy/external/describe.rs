@@ -163,10 +163,7 @@ mod tests {
             let [own, exported] = targets;
             assert_ne!(own, before, "step {step}");
             before = own;
-            assert!(
-                own.iter().zip(exported).all(|(own, exported)| (own - exported).abs() < 1e-5),
-                "{own:?} {exported:?}"
-            );
+            assert!(own.iter().zip(exported).all(|(a, b)| (a - b).abs() < 1e-5), "{own:?} {exported:?}");
         }
     }
 }

@@ -38,14 +38,10 @@ fn found(entries: &Entries) -> Result<Found> {
         [scale] if scale.is_finite() => Numbers::All(scale),
         _ => Numbers::Each(for_each_joint("action_scale", &scale)?.to_vec()),
     };
-    let (stiffness, damping) = (entries.numbers("joint_stiffness")?, entries.numbers("joint_damping")?);
+    let (kp, kd) = (entries.numbers("joint_stiffness")?, entries.numbers("joint_damping")?);
     Ok(Found {
         nominal_pose: for_each_joint("default_joint_pos", &entries.numbers("default_joint_pos")?)?,
-        simulation: simulation(
-            POLICY_RATE_HZ,
-            [("joint_stiffness", &stiffness), ("joint_damping", &damping)],
-            &joints,
-        )?,
+        simulation: simulation(POLICY_RATE_HZ, [("joint_stiffness", &kp), ("joint_damping", &kd)], &joints)?,
         joints,
         observation: observation(entries)?,
         history: vec![0],
@@ -177,11 +173,7 @@ mod tests {
             ("action_scale", "a quarter", "action_scale has 'a quarter', expected numbers"),
             ("action_scale", "0.25,0.5", "action_scale has 2 numbers, expected 12"),
             ("command_names", "motion", "command_names is 'motion', expected one of base_velocity, twist"),
-            (
-                "observation_names",
-                "command,motion_anchor_pos_b",
-                "'motion_anchor_pos_b', which needs a reference motion",
-            ),
+            ("observation_names", "command,motion_b", "'motion_b', which needs a reference motion"),
             ("observation_names", "phase", "'phase', which needs the gait's period"),
             ("observation_history_lengths", "1,1", "observation_history_lengths is [1.0, 1.0], expected"),
         ] {
