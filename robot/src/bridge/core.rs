@@ -160,12 +160,8 @@ impl<'a> Bridge<'a> {
         {
             return self.notes.push(format!("the command is ignored: {error}"));
         }
-        self.command = Command {
-            forward: command.forward.clamp(-forward, forward),
-            left: command.left.clamp(-left, left),
-            yaw: command.yaw.clamp(-yaw, yaw),
-            ..command
-        };
+        let (forward, left) = (command.forward.clamp(-forward, forward), command.left.clamp(-left, left));
+        self.command = Command { forward, left, yaw: command.yaw.clamp(-yaw, yaw), ..command };
     }
 
     fn wish(&mut self, wish: Wish, now_s: f64) {

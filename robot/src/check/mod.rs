@@ -293,7 +293,7 @@ mod tests {
     static LOG: LazyLock<LogRows> = LazyLock::new(|| {
         let scenario =
             Scenario::named("walk", "{duration_s: 3.0, forward_m_s: 0.4, left_m_s: 0.2, yaw_rad_s: 0.3}").unwrap();
-        let rehearsal = rehearse(&AGENT, &scenario, 1, None, 1000).unwrap();
+        let rehearsal = rehearse(&AGENT, &scenario, 1, None).unwrap();
         LogRows(rehearsal.log.into_iter().map(|(phase, row)| (phase.to_owned(), row)).collect())
     });
 
