@@ -253,12 +253,9 @@ fn measure(
     std::array::from_fn(|leg| {
         let foot = &feet[leg];
         let offset = foot.position - robot.imu_in_base;
-        FootMeasurement {
-            offset: world_from_base * offset,
-            velocity: world_from_base * (foot.velocity + rate.cross(&offset)),
-            spin: world_from_base * (foot.spin + rate),
-            radius_m: robot.legs[leg].foot_radius_m,
-        }
+        let velocity = world_from_base * (foot.velocity + rate.cross(&offset));
+        let spin = world_from_base * (foot.spin + rate);
+        FootMeasurement { offset: world_from_base * offset, velocity, spin, radius_m: robot.legs[leg].foot_radius_m }
     })
 }
 

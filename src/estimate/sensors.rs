@@ -243,11 +243,8 @@ mod tests {
     #[test]
     fn biases_are_drawn_once_and_stay_and_have_the_sizes_they_are_given() {
         let mut rng = ChaCha8Rng::seed_from_u64(2);
-        let noise = SensorNoise {
-            gyro_density_rad_s_sqrt_hz: 0.0,
-            accelerometer_density_m_s2_sqrt_hz: 0.0,
-            ..SensorNoise::default()
-        };
+        let still = SensorNoise { gyro_density_rad_s_sqrt_hz: 0.0, ..SensorNoise::default() };
+        let noise = SensorNoise { accelerometer_density_m_s2_sqrt_hz: 0.0, ..still };
         let exact = ImuReading { gyro: Vector3::zeros(), specific_force: Vector3::zeros() };
         let (mut gyro, mut accelerometer, count) = (0.0, 0.0, 4000);
         for _ in 0..count {

@@ -88,16 +88,9 @@ impl Layout {
         }
         let length = history.len() * blocks.iter().map(ObservationBlock::length).sum::<usize>();
         ensure!((1..=MAX_LENGTH).contains(&length), LayoutError::Length(length));
-        let mut layout = Layout {
-            order,
-            history: history.to_vec(),
-            sources: Vec::with_capacity(length),
-            offset: Vec::with_capacity(length),
-            scale: Vec::with_capacity(length),
-            clip: Vec::with_capacity(length),
-            depth: 0,
-            blocks: Vec::new(),
-        };
+        let (own, sources, offset) = (history.to_vec(), Vec::with_capacity(length), Vec::with_capacity(length));
+        let (scale, clip) = (Vec::with_capacity(length), Vec::with_capacity(length));
+        let mut layout = Layout { order, history: own, sources, offset, scale, clip, depth: 0, blocks: Vec::new() };
         for frame in history {
             for (k, block) in blocks.iter().enumerate() {
                 for steps in &block.steps_ago {

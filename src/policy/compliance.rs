@@ -155,13 +155,9 @@ impl PolicyCalibration {
 
     /// Returns the virtual mass for the rates and commands of the policy's configuration.
     fn virtual_mass(&self, config: &Config) -> VirtualMass {
-        VirtualMass {
-            mass_kg: self.mass_kg,
-            own_m_s_per_n: self.own_m_s_per_n,
-            tracking: self.tracking,
-            limits_m_s: [config.command.forward_m_s, config.command.left_m_s],
-            period_s: config.simulation.policy_period_s(),
-        }
+        let (own_m_s_per_n, limits_m_s) = (self.own_m_s_per_n, [config.command.forward_m_s, config.command.left_m_s]);
+        let period_s = config.simulation.policy_period_s();
+        VirtualMass { mass_kg: self.mass_kg, own_m_s_per_n, tracking: self.tracking, limits_m_s, period_s }
     }
 
     /// Returns the smallest and the largest compliance that can be commanded [m/s/N].

@@ -177,8 +177,8 @@ impl Policy {
         let config = &provenance.config;
         let usage = Usage::new(&layout, robot);
         let nominal_pose = config.action.nominal_pose_rad.joints();
-        let mlp = Network::Mlp(PackedMlp::new(&network.policy));
-        let inference = Inference::new(layout, nominal_pose, config.action.scale_rad, mlp, &config.simulation);
+        let (mlp, period_s) = (Network::Mlp(PackedMlp::new(&network.policy)), config.simulation.policy_period_s());
+        let inference = Inference::new(layout, nominal_pose, config.action.scale_rad, mlp, period_s);
         let mut policy = Policy { actor: network.policy.clone(), usage, inference, provenance, sha256: String::new() };
         // What was built from whole tensors can be serialised.
         policy.sha256 = files::sha256(&[&policy.to_bytes().unwrap_or_default()]);
@@ -277,8 +277,8 @@ impl Policy {
         let network = tensors::read_group(&tensors, "policy.")?;
         let actor = Mlp::from_tensors(network, length, JOINTS)?;
         let PolicyMetadata { nominal_pose_rad, scale_rad, provenance, usage, .. } = metadata;
-        let mlp = Network::Mlp(PackedMlp::new(&actor));
-        let inference = Inference::new(layout, nominal_pose_rad, scale_rad, mlp, &provenance.config.simulation);
+        let (mlp, simulation) = (Network::Mlp(PackedMlp::new(&actor)), &provenance.config.simulation);
+        let inference = Inference::new(layout, nominal_pose_rad, scale_rad, mlp, simulation.policy_period_s());
         let policy = Policy { actor, inference, provenance, usage, sha256: files::sha256(&[bytes]) };
         let observations = read("golden.observation", &[GOLDEN, length])?;
         let expected = read("golden.joint_target", &[GOLDEN, JOINTS])?;

@@ -80,16 +80,10 @@ pub struct Samples {
 impl Samples {
     /// Borrows the samples as a batch.
     pub fn batch(&self) -> Batch<'_> {
-        Batch {
-            observations: &self.observations,
-            critic_observations: &self.critic_observations,
-            actions: &self.actions,
-            means: &self.means,
-            log_std: &self.log_std,
-            log_probs: &self.log_probs,
-            advantages: &self.advantages,
-            returns: &self.returns,
-        }
+        let (observations, critic_observations) = (&self.observations, &self.critic_observations);
+        let (actions, means, log_std, log_probs) = (&self.actions, &self.means, &self.log_std, &self.log_probs);
+        let (advantages, returns) = (&self.advantages, &self.returns);
+        Batch { observations, critic_observations, actions, means, log_std, log_probs, advantages, returns }
     }
 }
 

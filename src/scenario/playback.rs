@@ -194,12 +194,8 @@ impl<'a> Playback<'a> {
     pub fn beginning(mut self) -> Option<Beginning> {
         let mut beginning = Beginning::default();
         for _ in 0..self.length {
-            let moment = Moment {
-                state: self.world.state().clone(),
-                world: self.world.save(),
-                forces: self.force_sense.as_mut().map(ForceSense::save),
-                felt: [self.felt, self.true_force],
-            };
+            let (forces, felt) = (self.force_sense.as_mut().map(ForceSense::save), [self.felt, self.true_force]);
+            let moment = Moment { state: self.world.state().clone(), world: self.world.save(), forces, felt };
             beginning.moments.push(moment);
             match self.next() {
                 Some(PlaybackStep { frame: Some(frame), events }) if events.is_empty() => beginning.frames.push(frame),

@@ -185,13 +185,10 @@ impl Checkpoint {
         let (tensors, json) = tensors::deserialize(bytes)?;
         let metadata: Metadata = tensors::metadata(&json, FORMAT)?;
         let json = tensors::read_u8(&tensors, RUN)?;
-        let learner = LearnerState {
-            parameters: read_group(&tensors, "parameters")?,
-            first_moment: read_group(&tensors, "first_moment")?,
-            second_moment: read_group(&tensors, "second_moment")?,
-            steps: metadata.optimiser_steps,
-            learning_rate: metadata.learning_rate,
-        };
+        let (parameters, first_moment) = (read_group(&tensors, "parameters")?, read_group(&tensors, "first_moment")?);
+        let (second_moment, steps) = (read_group(&tensors, "second_moment")?, metadata.optimiser_steps);
+        let learning_rate = metadata.learning_rate;
+        let learner = LearnerState { parameters, first_moment, second_moment, steps, learning_rate };
         ensure!(checksum(json, &learner) == metadata.sha256, CheckpointError::Damaged);
         let run: RunState = tensors::from_json(json).map_err(CheckpointError::Run)?;
         run.config.check()?;

@@ -153,12 +153,9 @@ mod tests {
 
     #[test]
     fn inertial_sensor_turns_gravity_and_offsets_the_rate() {
-        let state = RobotState {
-            gravity_in_base: Vector3::new(0.0, 0.0, -10.0),
-            angular_velocity_in_base: Vector3::new(1.0, 2.0, 3.0),
-            felt_force: Some([10.0, 20.0]),
-            ..RobotState::default()
-        };
+        let (gravity_in_base, angular_velocity_in_base) = (Vector3::new(0.0, 0.0, -10.0), Vector3::new(1.0, 2.0, 3.0));
+        let felt_force = Some([10.0, 20.0]);
+        let state = RobotState { gravity_in_base, angular_velocity_in_base, felt_force, ..RobotState::default() };
         let (gyro_bias_rad_s, felt_force_n) = ([0.1, 0.2, 0.3], [1.0, -2.0]);
         let errors = ImuErrors { gyro_bias_rad_s, gyro_noise_sd_rad_s: 0.0, tilt_rad: [0.1, 0.0], felt_force_n };
         let mut rng = stream(1, Purpose::Imu, 0, 0);

@@ -444,11 +444,9 @@ fn metrics_up_to(path: &Path, checkpoint: &Checkpoint) -> Result<(Vec<u8>, Optio
         if let (true, Some(time)) = (line.iteration == run.iteration, line.time)
             && time.elapsed_s != run.elapsed_s
         {
-            let [ours, theirs] = [run.elapsed_s, time.elapsed_s];
-            let problem = format!(
-                "after iteration {} the checkpoint has trained for {ours} s, {METRICS} for {theirs} s",
-                run.iteration
-            );
+            let (at, ours, theirs) = (run.iteration, run.elapsed_s, time.elapsed_s);
+            let problem =
+                format!("after iteration {at} the checkpoint has trained for {ours} s, {METRICS} for {theirs} s");
             return Err(RunError::Mixed { path: path.to_owned(), problem });
         }
         if line.iteration > next {

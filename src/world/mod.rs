@@ -242,18 +242,9 @@ impl World {
         command: &'a Command,
         (summary, landings, forces): (&'a StepSummary, &'a Landings, &'a StepForces),
     ) -> RewardInput<'a> {
-        RewardInput {
-            state: &self.state,
-            before,
-            targets: &self.targets,
-            command,
-            summary,
-            landings,
-            forces,
-            period_s: self.sim.policy_period_s(),
-            time_s: self.time_s(),
-            config: &self.reward,
-        }
+        let (state, targets, period_s) = (&self.state, &self.targets, self.sim.policy_period_s());
+        let (time_s, config) = (self.time_s(), &self.reward);
+        RewardInput { state, before, targets, command, summary, landings, forces, period_s, time_s, config }
     }
 
     /// Collects the effects of the disturbances in the step.

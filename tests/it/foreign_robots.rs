@@ -262,11 +262,8 @@ fn feet_of_any_shape_stand_on_their_lowest_point() {
     for (foot, expected) in feet() {
         let robot = Foreign { foot, sections: TIP, ..foreign() };
         let found = robot.robot();
-        assert!(
-            (height(&found) - expected).abs() < 1e-6 && (found.stand[2] - expected).abs() < 1e-6,
-            "{foot}: {} {expected}",
-            height(&found)
-        );
+        let own = height(&found);
+        assert!((own - expected).abs() < 1e-6 && (found.stand[2] - expected).abs() < 1e-6, "{foot}: {own} {expected}");
         let named = described(&robot, "feet: {FR: FR_foot, FL: FL_foot, RR: RR_foot, RL: RL_foot}").unwrap();
         assert_eq!(height(&named), height(&found), "{foot}");
 
@@ -291,13 +288,10 @@ fn feet_of_any_shape_stand_on_their_lowest_point() {
 #[test]
 fn the_foot_is_the_lowest_in_the_world_whatever_the_calfs_axes() {
     // The calf's body is turned about x, so that its foot is up in its frame, and a knee cap is down.
-    let turned = Foreign {
-        calf: "pos='0 0 -0.22' quat='0 1 0 0'",
-        ranges: ["range='-0.7 0.7'", "range='-1 3'", "range='0.5 2.6'"],
-        foot: "<geom size='0.02' pos='0 0 0.22'/><geom size='0.03' pos='0 0 -0.01'/>",
-        after: "<keyframe><key qpos='0 0 1 1 0 0 0  0 .6 1.2  0 .6 1.2  0 .6 1.2  0 .6 1.2'/></keyframe>",
-        ..foreign()
-    };
+    let ranges = ["range='-0.7 0.7'", "range='-1 3'", "range='0.5 2.6'"];
+    let foot = "<geom size='0.02' pos='0 0 0.22'/><geom size='0.03' pos='0 0 -0.01'/>";
+    let after = "<keyframe><key qpos='0 0 1 1 0 0 0  0 .6 1.2  0 .6 1.2  0 .6 1.2  0 .6 1.2'/></keyframe>";
+    let turned = Foreign { calf: "pos='0 0 -0.22' quat='0 1 0 0'", ranges, foot, after, ..foreign() };
     assert!((height(&turned.robot()) - HEIGHT).abs() < 1e-6);
 }
 
@@ -498,12 +492,9 @@ fn a_urdf_is_the_robot_that_it_describes() {
     );
     let apart = of_urdf(&apart);
     assert!((apart.mass_kg - 13.7).abs() < 1e-9, "{}", apart.mass_kg);
-    assert!(
-        // MuJoCo 3 does not say which link it is.
-        apart.report.iter().any(|line| line.contains("made equal") && (VERSION >= 300 || line.contains("'camera'"))),
-        "{:?}",
-        apart.report
-    );
+    // MuJoCo 3 does not say which link it is.
+    let is_told = |line: &String| line.contains("made equal") && (VERSION >= 300 || line.contains("'camera'"));
+    assert!(apart.report.iter().any(is_told), "{:?}", apart.report);
     let model = Scene::flat(apart, 1.0 / 240.0).compile().unwrap();
     let trunk = model.id(Object::Body, "trunk").unwrap();
     // The camera, 0.1 m up, is a part of the trunk: 0.1 · 0.1 / 8.1.
@@ -702,11 +693,8 @@ fn programs_take_a_urdf_and_robots_without_limits() {
         assert!(text.contains(words) && text.contains("13.600 kg"), "{text}");
     }
     // A policy's file states the ranges of its robot's joints, infinite ones too.
-    success(run(
-        "train",
-        folder.path(),
-        &["--config", "small.yaml", "--robot", "free.xml", "--samples", "256", "--out", "r"],
-    ));
+    let arguments = ["--config", "small.yaml", "--robot", "free.xml", "--samples", "256", "--out", "r"];
+    success(run("train", folder.path(), &arguments));
     let shown = success(run("policy", folder.path(), &["show", "r"]));
     assert!(String::from_utf8_lossy(&shown.stdout).contains("none"));
 }

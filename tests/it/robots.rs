@@ -11,16 +11,10 @@ use crate::support::{complaint, refused, run, success, with_small_config};
 
 /// A robot of 40 kg in the style of an ANYmal: legs that are straight at zero angles, no pose of its own, servos.
 fn anymal_like() -> Foreign {
-    Foreign {
-        sections: "<option integrator='implicitfast'/>\n",
-        trunk: "",
-        joint: "armature='0.1'",
-        ranges: ["range='-9 9'"; 3],
-        foot: "<geom type='sphere' size='0.03' pos='0.08 0 -0.32'/>",
-        actuator: "<position joint='{}' kp='100' forcerange='-80 80'/>",
-        after: "",
-        ..foreign()
-    }
+    let (sections, ranges) = ("<option integrator='implicitfast'/>\n", ["range='-9 9'"; 3]);
+    let foot = "<geom type='sphere' size='0.03' pos='0.08 0 -0.32'/>";
+    let actuator = "<position joint='{}' kp='100' forcerange='-80 80'/>";
+    Foreign { sections, trunk: "", joint: "armature='0.1'", ranges, foot, actuator, after: "", ..foreign() }
 }
 
 /// Returns the text of a robot with joints LF_HAA and so on, and with bodies that have no names.

@@ -149,16 +149,12 @@ mod tests {
         let found = found(&metadata(&[("observation_history_lengths", "0,1,3,1,1,1,1")])).ok().unwrap();
         assert_eq!(found.joints[..2], ["FL_hip_joint", "FR_hip_joint"]);
         assert_eq!(found.nominal_pose[..2], [0.1, -0.1]);
-        assert_eq!(
-            (found.simulation.kp_n_m_per_rad, found.simulation.kd_n_m_s_per_rad),
-            (PerJoint::Same(25.0), PerJoint::Same(0.5))
-        );
+        let gains = (found.simulation.kp_n_m_per_rad, found.simulation.kd_n_m_s_per_rad);
+        assert_eq!(gains, (PerJoint::Same(25.0), PerJoint::Same(0.5)));
         assert_eq!(found.scale_rad, Numbers::All(0.25));
         let quantities: Vec<Quantity> = found.observation.iter().map(|observed| observed.quantity).collect();
-        assert_eq!(
-            quantities[..4],
-            [Quantity::BaseVelocity, Quantity::AngularVelocity, Quantity::ProjectedGravity, Quantity::JointOffsets]
-        );
+        let [velocity, gravity] = [Quantity::BaseVelocity, Quantity::ProjectedGravity];
+        assert_eq!(quantities[..4], [velocity, Quantity::AngularVelocity, gravity, Quantity::JointOffsets]);
         assert_eq!(quantities[4..], [Quantity::JointRates, Quantity::LastAction, Quantity::Command]);
         let ages: Vec<_> = found.observation.iter().map(|observed| observed.steps_ago.clone()).collect();
         assert_eq!(ages[..3], [None, None, Some(StepsAgo::Several(vec![2, 1, 0]))]);

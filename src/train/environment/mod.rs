@@ -335,13 +335,9 @@ impl LocomotionEnv {
         match self.try_step(action) {
             Ok((step, report)) => (step, report),
             Err(error) => {
-                let fault = EpisodeFault {
-                    error: error.to_string(),
-                    environment: self.index,
-                    episode: self.progress.episode,
-                    step: self.world.steps(),
-                    last_second: self.last_second.csv(),
-                };
+                let (error, episode, step) = (error.to_string(), self.progress.episode, self.world.steps());
+                let last_second = self.last_second.csv();
+                let fault = EpisodeFault { error, environment: self.index, episode, step, last_second };
                 let stage = self.stages.at(self.world.steps());
                 let step = EnvStep { reward: 0.0, end: Some(EpisodeEnd::Fault), stage, terms: Terms::default() };
                 (step, Some(self.report(EpisodeEnd::Fault, Some(Box::new(fault)))))
@@ -398,17 +394,12 @@ impl LocomotionEnv {
     fn report(&self, end: EpisodeEnd, fault: Option<Box<EpisodeFault>>) -> EpisodeReport {
         let p = &self.progress;
         let walked = self.world.steps() >= self.stages.recovery_start;
-        EpisodeReport {
-            end,
-            steps: self.world.steps(),
-            pushed: p.plan.is_pushed && self.world.steps() > self.stages.recovery_start,
-            reward: p.reward,
-            terms: p.terms,
-            walking_linear: walked.then(|| p.walking.linear_velocity() / self.stages.recovery_start as f64),
-            terrain_level: p.course.map(|course| course.level),
-            swing_height_m: (p.swing_count > 0).then(|| p.swing_sum_m / p.swing_count as f64),
-            fault,
-        }
+        let (steps, pushed) = (self.world.steps(), p.plan.is_pushed && self.world.steps() > self.stages.recovery_start);
+        let (reward, terms) = (p.reward, p.terms);
+        let walking_linear = walked.then(|| p.walking.linear_velocity() / self.stages.recovery_start as f64);
+        let terrain_level = p.course.map(|course| course.level);
+        let swing_height_m = (p.swing_count > 0).then(|| p.swing_sum_m / p.swing_count as f64);
+        EpisodeReport { end, steps, pushed, reward, terms, walking_linear, terrain_level, swing_height_m, fault }
     }
 
     /// Replaces the observation by another one of the same quantities.
