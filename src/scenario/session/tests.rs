@@ -237,7 +237,7 @@ fn a_world_needs_one_robot_or_two_and_an_input_that_fits() {
     let mut gone = world.setup().clone();
     gone.robots[0] = Seat { policy: "nobody".into(), sha256: "0".into(), ..gone.robots[0].clone() };
     for (input, words) in [
-        (Input::Renew { robot: 1, sha256: "0".into() }, "number 1 of robots"),
+        (Input::Renew { robot: 1, sha256: "0".into() }, "robots: found number 1, expected 0 to 0"),
         (Input::Setup(gone), "nobody"),
         (Input::Act(Act::Push { size: [f64::INFINITY, 0.0], unit: PushUnit::Velocity }), "not finite"),
     ] {
