@@ -21,6 +21,12 @@ macro_rules! methods {
     };
 }
 
+/// Returns an error, or one with this text, from a function unless a condition holds.
+macro_rules! ensure {
+    ($condition:expr, $text:literal $($given:tt)*) => { ensure!($condition, format!($text $($given)*)) };
+    ($condition:expr, $error:expr) => { if $condition {} else { return Err($error.into()) } };
+}
+
 pub mod config;
 pub mod estimate;
 pub mod guide;

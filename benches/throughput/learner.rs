@@ -77,14 +77,8 @@ pub fn measure(config: &Config, threads: usize, effort: &Effort, figures: &mut F
 }
 
 fn rollout(config: &Config, network: &ActorCritic, threads: usize, effort: &Effort) -> anyhow::Result<Rollout> {
-    let collection = Collection {
-        network,
-        seed: 0,
-        iteration: 0,
-        steps: config.ppo.batch_size / effort.environments,
-        curriculum: Curriculum::new(&config.command),
-        threads,
-    };
+    let (steps, curriculum) = (config.ppo.batch_size / effort.environments, Curriculum::new(&config.command));
+    let collection = Collection { network, seed: 0, iteration: 0, steps, curriculum, threads };
     let environment = |index| LocomotionEnv::new(config, 0, index as u64, collection.curriculum);
     let mut environments = (0..effort.environments).map(environment).collect::<Result<Vec<_>, _>>()?;
     Ok(collection.collect(&mut environments)?)

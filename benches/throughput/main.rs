@@ -107,10 +107,7 @@ fn main() -> anyhow::Result<()> {
         println!("{}", serde_json::Value::Object(object));
         return Ok(());
     }
-    println!(
-        "{program}: {}",
-        if is_quick { "a quick run, whose figures mean nothing" } else { "medians of 5 repetitions" }
-    );
+    println!("{program}: {}", if is_quick { "a quick run: figures mean nothing" } else { "medians of 5 repetitions" });
     for (name, value) in figures.0 {
         let digits = if value.abs() < 1000.0 { 3 } else { 0 };
         println!("{name:<36}{value:>14.digits$}");

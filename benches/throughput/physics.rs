@@ -129,10 +129,7 @@ impl Replay {
             twin.step(&target, &mut tape)?;
             let (outcome, _) = env.step(&action);
             ensure!(outcome.end != Some(EpisodeEnd::Fault), "the physics failed in environment {index}");
-            ensure!(
-                twin.data().positions() == env.sim_mut().data().positions(),
-                "the twin of environment {index} lost it"
-            );
+            ensure!(twin.data().positions() == env.sim_mut().data().positions(), "environment {index}'s twin lost it");
             if step >= effort.warm_up_steps {
                 steps.push(Step { action, start, torques: tape.0 });
             }

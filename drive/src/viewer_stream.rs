@@ -71,13 +71,8 @@ impl Snapshot {
     /// Creates the snapshot before the first step.
     pub fn new(cast: Cast) -> Self {
         let count = cast.names.len();
-        Snapshot {
-            cast: Arc::new(cast),
-            frames: vec![None; count],
-            beginnings: vec![0; count],
-            events: vec![(0, None); count],
-            is_behind: false,
-        }
+        let (beginnings, events) = (vec![0; count], vec![(0, None); count]);
+        Snapshot { cast: Arc::new(cast), frames: vec![None; count], beginnings, events, is_behind: false }
     }
 }
 

@@ -108,18 +108,12 @@ impl MeasurementStore {
         wall_s: f64,
         samples: PolicyResult,
     ) -> Result<(), FileError> {
-        let mut stored = StoredMeasurement {
-            key: key.to_owned(),
-            experiment: experiment.info().name.to_owned(),
-            sha256: member.agent.sha256.clone(),
-            seed: member.seed,
-            revision: revision_and_mujoco(),
-            wall_s,
-            checksum: String::new(),
-            samples,
-        };
-        stored.checksum = stored.computed_checksum();
         let path = self.path(experiment, key);
+        let (key, experiment) = (key.to_owned(), experiment.info().name.to_owned());
+        let (sha256, seed, revision) = (member.agent.sha256.clone(), member.seed, revision_and_mujoco());
+        let checksum = String::new();
+        let mut stored = StoredMeasurement { key, experiment, sha256, seed, revision, wall_s, checksum, samples };
+        stored.checksum = stored.computed_checksum();
         let fail = FileError::of(RESULTS, &path);
         if let Some(folder) = path.parent() {
             fs::create_dir_all(folder).map_err(fail)?;

@@ -108,21 +108,14 @@ impl<'a> SectionBuilder<'a> {
         self.grouped_dots(part, title, &self.each(), quantities, more);
     }
 
-    /// Adds a figure of quantities by group of conditions, with a panel for each quantity.
-    pub fn grouped_dots(
-        &mut self,
-        part: &str,
-        title: &str,
-        groups: &[ConditionGroup],
-        quantities: &[&str],
-        more: &str,
-    ) {
+    /// Adds a figure of quantities by group of conditions, with a panel for each of their names in `values`.
+    pub fn grouped_dots(&mut self, part: &str, title: &str, groups: &[ConditionGroup], values: &[&str], more: &str) {
         let panel = |name: &&str| {
             let row =
                 |group: &ConditionGroup| self.by_set(|set| self.results.per_seed_over(set, &group.conditions, name));
             Dots { quantity: self.results.quantity(name), rows: groups.iter().map(row).collect() }
         };
-        let panels: Vec<Dots> = quantities.iter().map(panel).collect();
+        let panels: Vec<Dots> = values.iter().map(panel).collect();
         let labels: Vec<String> = groups.iter().map(|group| group.name.clone()).collect();
         self.panels(part, title, &panels, &labels, more);
     }

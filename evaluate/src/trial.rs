@@ -160,11 +160,7 @@ fn vary(scenario: &Scenario, seed: u64) -> Scenario {
 
 /// Returns the scenario and the script of a trial; none if the policy does not support the commanded compliance: that of the condition,
 /// else C of the policy's `NAME@C`.
-pub(crate) fn set_up(
-    condition: &Condition,
-    seed: u64,
-    agent: &Agent,
-) -> Result<Option<(Scenario, Script)>, TrialError> {
+pub(crate) fn setup(condition: &Condition, seed: u64, agent: &Agent) -> Result<Option<(Scenario, Script)>, TrialError> {
     let scenario = vary(&condition.scenario, seed);
     let mut script = scenario.script(seed, &agent.config)?;
     let Ok(compliance) = agent.resolve_compliance(script.command.compliance, None) else { return Ok(None) };
@@ -253,7 +249,7 @@ fn play(
     sensing: Sensing,
     beginnings: Option<&Beginnings>,
 ) -> Result<Sample, TrialError> {
-    let Some((scenario, mut script)) = set_up(condition, seed, agent)? else {
+    let Some((scenario, mut script)) = setup(condition, seed, agent)? else {
         return Ok(Sample::new(TrialEnd::OutOfReach, vec![None; experiment.info().quantities.len()]));
     };
     // End the playback at the last measured instant or at the fall.

@@ -129,10 +129,7 @@ fn row<'a>(of: &'a Value, table: &str, condition: &str, quantity: &str) -> &'a V
 #[test]
 fn examination_grades_a_policy_beside_the_references() {
     let place = Place::new(&[("mine", falling_policy())]);
-    place.write(
-        "tiny.yaml",
-        format!("{TINY}calibration: {{compliances: [0.02], commands_m_s: [0.5], directions: 3}}\n"),
-    );
+    place.write("tiny.yaml", format!("{TINY}calibration: {{compliances: [0.02],commands_m_s: [0.5],directions: 3}}\n"));
     let notes = place.evaluate("--exam policies/mine.safetensors --out exam");
     let exam: Value = serde_json::from_str(&place.read("exam/exam.json")).unwrap();
     assert_eq!(exam["names"], json!(["mine", "compliant", "baseline"]));
@@ -332,10 +329,8 @@ fn report_page_opens_in_a_browser() {
 /// Checks the page in headless Chromium: no figure is cut off, nothing is fetched, and the console is silent.
 fn check_page(page: &Path, drawn: &BTreeSet<String>) {
     let text = std::fs::read_to_string(page).unwrap();
-    assert!(
-        !text.replace("http://www.w3.org/2000/svg", "").contains("http"),
-        "the page refers to something outside it"
-    );
+    let others = text.replace("http://www.w3.org/2000/svg", "");
+    assert!(!others.contains("http"), "the page refers to something outside it");
     let frame = page.with_file_name("frame.html");
     std::fs::write(&frame, include_str!("frame.html").replace("PAGE", &format!("file://{}", page.display()))).unwrap();
     let Some((dom, console)) = browse(&frame) else {

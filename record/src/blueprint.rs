@@ -112,13 +112,10 @@ impl Layout<'_> {
         let background = Background::new(BackgroundKind::SolidColor).with_color(opaque(BACKGROUND));
         let grid = LineGrid3D::new().with_visible(false);
         let root = robot_path(robot);
-        self.view(
-            "3D",
-            robot,
-            &root,
-            &[format!("+ {root}/**")],
-            &[("EyeControls3D", &eye), ("Background", &background), ("LineGrid3D", &grid)],
-        )
+        let contents = [format!("+ {root}/**")];
+        let looks: [(_, &dyn AsComponents); 3] =
+            [("EyeControls3D", &eye), ("Background", &background), ("LineGrid3D", &grid)];
+        self.view("3D", robot, &root, &contents, &looks)
     }
 
     /// Adds tabs with all plots; those of a tab are stacked or side by side.

@@ -42,14 +42,8 @@ pub struct Rehearsal {
 ///
 /// # Errors
 /// The scenario or the policy does not fit.
-pub fn rehearse(
-    agent: &Agent,
-    scenario: &Scenario,
-    seed: u64,
-    compliance: Option<f64>,
-    physics_hz: u32,
-) -> anyhow::Result<Rehearsal> {
-    let config = configuration(Config::load("go2")?, physics_hz)?;
+pub fn rehearse(agent: &Agent, scenario: &Scenario, seed: u64, compliance: Option<f64>) -> anyhow::Result<Rehearsal> {
+    let config = configuration(Config::load("go2")?);
     let script = scenario.script(seed, &config)?;
     let robot = Arc::clone(&script.scene.robot);
     let mut body = Body::new(script.clone(), config, Some(SensorNoise::default()), seed)?;
@@ -102,7 +96,7 @@ mod tests {
     fn rehearsed(seed: u64) -> Rehearsal {
         let agent = shipped::find("go2/compliant").unwrap();
         let scenario = Scenario::named("push", "{push_m_s: 0.5, at_s: 1.0, duration_s: 3.0}").unwrap();
-        rehearse(&agent, &scenario, seed, None, 1000).unwrap()
+        rehearse(&agent, &scenario, seed, None).unwrap()
     }
 
     fn metric(rehearsal: &Rehearsal, name: &str) -> Option<f64> {

@@ -17,12 +17,9 @@ pub fn damping() -> [MotorCmd; JOINTS] {
 
 /// Returns the command that holds joint targets \[rad\] with these gains of each joint.
 pub fn holding(targets: &Joints, kp: &Joints, kd: &Joints) -> [MotorCmd; JOINTS] {
-    std::array::from_fn(|joint| MotorCmd {
-        mode: SERVO,
-        q: targets[joint] as f32,
-        kp: kp[joint] as f32,
-        kd: kd[joint] as f32,
-        ..MotorCmd::zero()
+    std::array::from_fn(|joint| {
+        let [q, kp, kd] = [targets, kp, kd].map(|values| values[joint] as f32);
+        MotorCmd { mode: SERVO, q, kp, kd, ..MotorCmd::zero() }
     })
 }
 

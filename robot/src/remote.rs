@@ -85,11 +85,8 @@ impl FullSticks {
     pub(crate) fn remote(&self, command: &Command) -> Remote {
         let [forward, left, yaw] = self.0;
         let stick = |value: f64, full: f64| (value / full).clamp(-1.0, 1.0) as f32;
-        Remote {
-            left: [stick(-command.left, left), stick(command.forward, forward)],
-            right: [stick(-command.yaw, yaw), 0.0],
-            ..Remote::default()
-        }
+        let right = [stick(-command.yaw, yaw), 0.0];
+        Remote { left: [stick(-command.left, left), stick(command.forward, forward)], right, ..Remote::default() }
     }
 
     pub(crate) fn command(&self, remote: &Remote) -> Command {

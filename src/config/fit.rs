@@ -183,10 +183,8 @@ mod tests {
         robot.nominal_pose = same_in_every_leg([0.0, 1.0, -2.0]);
         let own = Config::load("fast").unwrap();
         let config = own.fitted_to(&robot).unwrap();
-        assert!(
-            config.robot.model.ends_with("/heavy")
-                && config.action.nominal_pose_rad == PerJoint::Alike([0.0, 1.0, -2.0])
-        );
+        assert!(config.robot.model.ends_with("/heavy"));
+        assert_eq!(config.action.nominal_pose_rad, PerJoint::Alike([0.0, 1.0, -2.0]));
         assert_eq!((config.reward.base_height_m, config.reward.foot_height_m), (0.228, 0.0588));
         assert_eq!(config.episode.min_height_m, 0.147);
         // 40 · 7.352, 7.352 · √0.7352
@@ -204,12 +202,9 @@ mod tests {
         let drawn = real.randomisation;
         assert_eq!((drawn.trunk_mass_kg, drawn.trunk_offset_m), (10.0, 0.0221));
         assert_eq!((drawn.joint_friction_n_m, drawn.joint_damping_n_m_s_per_rad), (2.21, 0.63));
-        let (pulls, held_feet) = (real.pulls.unwrap(), real.held_feet.unwrap());
+        let (pulls, held) = (real.pulls.unwrap(), real.held_feet.unwrap());
         assert_eq!((pulls.force_n, drawn.felt_force_error_sd_n), (850.0, 10.0));
-        assert_eq!(
-            (held_feet.force_n, held_feet.stiffness_n_per_m, held_feet.height_m),
-            (600.0, 8160.0, [0.0147, 0.0368])
-        );
+        assert_eq!((held.force_n, held.stiffness_n_per_m, held.height_m), (600.0, 8160.0, [0.0147, 0.0368]));
     }
 
     #[test]

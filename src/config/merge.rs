@@ -63,9 +63,7 @@ impl Merged {
         };
         let problem = |message: &str| YamlError::new(name_or_path, message);
         let base = base.as_str().ok_or_else(|| problem("`base` must be a config's name or path"))?;
-        if bases_left == 0 {
-            return Err(problem("`base` is nested too deep: does a config name itself?").into());
-        }
+        ensure!(bases_left > 0, problem("`base` is nested too deep: does a config name itself?"));
         let mut whole = self.read(base, path.parent().unwrap_or(folder), bases_left - 1)?;
         let notes = resolve_lists(Some(&whole), &mut value, &text)?;
         // Shipped configurations drop quantities on purpose.
@@ -196,10 +194,7 @@ mod tests {
         for (text, expected) in [
             ("base: fast\nobservation: {append: 3}", "own.yaml, line 2: observation: expected a list after `append`"),
             ("base: fast\nobservation: {}", "observation: expected a list after `append`"),
-            (
-                "base: fast\nobservation:\n  append: []\n  prepend: []",
-                "observation: unknown key `prepend`, expected a list",
-            ),
+            ("base: fast\nobservation: {append: [],prepend: 0}", "observation: unknown key `prepend`, expected a list"),
             (
                 "base: fast\nreward: {warmth: 1.0}",
                 "line 2: reward.warmth: unknown field `warmth`, expected one of `linear_velocity`",
@@ -208,10 +203,7 @@ mod tests {
                 "base: fast\nobservation: {append: [{quantity: warmth}]}",
                 "line 2: observation[14].quantity: unknown variant `warmth`",
             ),
-            (
-                "robot: {model: go1}\nobservation: {append: []}",
-                "line 2: observation: `append` adds to the list of a `base`",
-            ),
+            ("ppo: {}\nobservation: {append: []}", "line 2: observation: `append` adds to the list of a `base`"),
         ] {
             let error = written(text).unwrap_err().to_string();
             assert!(error.contains(expected), "{error}");

@@ -197,14 +197,8 @@ pub(crate) struct Memory {
 
 impl Default for Memory {
     fn default() -> Self {
-        Memory {
-            before: None,
-            forces: ExternalForces { doubt: Some(Doubt::Starting), ..ExternalForces::default() },
-            sum: ExternalForces::default(),
-            count: 0,
-            lines: Matrix3::zeros(),
-            lift_n: 0.0,
-        }
+        let forces = ExternalForces { doubt: Some(Doubt::Starting), ..ExternalForces::default() };
+        Memory { before: None, forces, sum: ExternalForces::default(), count: 0, lines: Matrix3::zeros(), lift_n: 0.0 }
     }
 }
 
@@ -236,18 +230,11 @@ impl ForceObserver {
         let feet = [foot(0)?, foot(1)?, foot(2)?, foot(3)?];
         let root = model.id(Object::Joint, "root")?;
         let weight_n = robot.mass_kg * GRAVITY_M_S2;
-        Ok(ForceObserver {
-            limit_n: LIMIT_WEIGHTS * weight_n,
-            weight_n,
-            imu_in_base: robot.imu_in_base,
-            centre: model.body_centre_of_mass(model.id(Object::Body, "trunk")?).into(),
-            root: [model.joint_position_index(root), model.joint_velocity_index(root)],
-            joints,
-            limits: robot.joint_limits,
-            feet,
-            memory: Memory::default(),
-            data: Data::new(model)?,
-        })
+        let (limit_n, imu_in_base) = (LIMIT_WEIGHTS * weight_n, robot.imu_in_base);
+        let centre = model.body_centre_of_mass(model.id(Object::Body, "trunk")?).into();
+        let (root, limits) = ([model.joint_position_index(root), model.joint_velocity_index(root)], robot.joint_limits);
+        let (memory, data) = (Memory::default(), Data::new(model)?);
+        Ok(ForceObserver { limit_n, weight_n, imu_in_base, centre, root, joints, limits, feet, memory, data })
     }
 
     /// Clears all readings and forces; to be called after the robot has been moved to another place.

@@ -152,19 +152,13 @@ impl KalmanFilter {
         KalmanFilter { noise, axes }
     }
 
-    /// Returns the position of the IMU's site, world frame \[m\].
-    pub fn position(&self) -> Vector3<f64> {
-        self.across(0)
-    }
-
-    /// Returns the velocity of the IMU's site, world frame [m/s].
-    pub fn velocity(&self) -> Vector3<f64> {
-        self.across(1)
-    }
-
-    /// Returns the centre of a foot, world frame \[m\].
-    pub fn foot(&self, leg: usize) -> Vector3<f64> {
-        self.across(FEET + leg)
+    methods! {
+        /// Returns the position of the IMU's site, world frame \[m\].
+        fn position(&self) -> Vector3<f64> = self.across(0);
+        /// Returns the velocity of the IMU's site, world frame [m/s].
+        fn velocity(&self) -> Vector3<f64> = self.across(1);
+        /// Returns the centre of a foot, world frame \[m\].
+        fn foot(&self, leg: usize) -> Vector3<f64> = self.across(FEET + leg);
     }
 
     fn across(&self, index: usize) -> Vector3<f64> {

@@ -23,12 +23,8 @@ fn normal(rng: &mut ChaCha8Rng) -> Vector3<f64> {
 fn some_feet(rng: &mut ChaCha8Rng) -> [FootMeasurement; 4] {
     std::array::from_fn(|leg| {
         let corner = Vector3::new(if leg < 2 { 0.2 } else { -0.2 }, if leg % 2 == 1 { 0.13 } else { -0.13 }, -0.28);
-        FootMeasurement {
-            offset: corner + 0.02 * normal(rng),
-            velocity: 0.1 * normal(rng),
-            spin: normal(rng),
-            radius_m: FOOT_RADIUS_M,
-        }
+        let (offset, velocity) = (corner + 0.02 * normal(rng), 0.1 * normal(rng));
+        FootMeasurement { offset, velocity, spin: normal(rng), radius_m: FOOT_RADIUS_M }
     })
 }
 

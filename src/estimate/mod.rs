@@ -77,12 +77,8 @@ pub struct EstimatorConfig {
 impl Default for EstimatorConfig {
     fn default() -> Self {
         // 0.15 °/s / 0.5 /s = 0.3°; 0.5 /s · 0.5 m/s / 9.81 m/s² = 1.5°, which fades in 2 s.
-        EstimatorConfig {
-            orientation_gain_per_s: 0.5,
-            orientation_averaging_s: 0.25,
-            max_silence_s: 0.1,
-            noise: FilterNoise::default(),
-        }
+        let noise = FilterNoise::default();
+        EstimatorConfig { orientation_gain_per_s: 0.5, orientation_averaging_s: 0.25, max_silence_s: 0.1, noise }
     }
 }
 
@@ -228,9 +224,7 @@ impl Filters {
             // Counted up to the reading that ends it. A silence beyond the limit never ends, as the motion in it is unknown.
             *silent_s += dt_s;
             // Sums of ticks are off by rounding.
-            if *silent_s > limit_s + 1e-9 {
-                return Err(SensorFault::Silent { sensor, silent_s: *silent_s, limit_s });
-            }
+            ensure!(*silent_s <= limit_s + 1e-9, SensorFault::Silent { sensor, silent_s: *silent_s, limit_s });
             if reads {
                 *silent_s = 0.0;
             }
@@ -259,12 +253,9 @@ fn measure(
     std::array::from_fn(|leg| {
         let foot = &feet[leg];
         let offset = foot.position - robot.imu_in_base;
-        FootMeasurement {
-            offset: world_from_base * offset,
-            velocity: world_from_base * (foot.velocity + rate.cross(&offset)),
-            spin: world_from_base * (foot.spin + rate),
-            radius_m: robot.legs[leg].foot_radius_m,
-        }
+        let velocity = world_from_base * (foot.velocity + rate.cross(&offset));
+        let spin = world_from_base * (foot.spin + rate);
+        FootMeasurement { offset: world_from_base * offset, velocity, spin, radius_m: robot.legs[leg].foot_radius_m }
     })
 }
 
@@ -286,9 +277,7 @@ fn summarise(robot: &Robot, orientation: &OrientationFilter, kalman: &KalmanFilt
 
 /// Checks that all inputs are finite, before any state changes.
 fn check(imu: Option<&ImuReading>, encoders: Option<&EncoderReading>, dt_s: f64) -> Result<(), SensorFault> {
-    if !(dt_s.is_finite() && dt_s > 0.0) {
-        return Err(SensorFault::Timestep(dt_s));
-    }
+    ensure!(dt_s.is_finite() && dt_s > 0.0, SensorFault::Timestep(dt_s));
     imu.map_or(Ok(()), ImuReading::check)?;
     encoders.map_or(Ok(()), EncoderReading::check)
 }

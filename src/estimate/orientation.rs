@@ -49,13 +49,8 @@ impl OrientationFilter {
             .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));
         let (_, _, yaw) = level.euler_angles();
         let world_from_base = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -yaw) * level;
-        OrientationFilter {
-            gain: gain_per_s,
-            averaging_s,
-            world_from_base,
-            average: world_from_base * specific_force,
-            bias: Vector3::zeros(),
-        }
+        let (average, bias) = (world_from_base * specific_force, Vector3::zeros());
+        OrientationFilter { gain: gain_per_s, averaging_s, world_from_base, average, bias }
     }
 
     /// Returns the angular velocity, base frame [rad/s]: the gyro's reading minus its estimated bias.

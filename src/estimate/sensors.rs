@@ -153,12 +153,9 @@ impl Sensors {
     /// Switches the sensors on and draws their constant errors. `rng` is a stream of
     /// [`crate::util::random::Purpose::Sensor`].
     pub fn new(noise: SensorNoise, rng: &mut impl Rng) -> Self {
-        Sensors {
-            gyro_bias: noise.gyro_bias_rad_s * normal(rng),
-            accelerometer_bias: noise.accelerometer_bias_m_s2 * normal(rng),
-            filtered_rates: None,
-            noise,
-        }
+        let gyro_bias = noise.gyro_bias_rad_s * normal(rng);
+        let accelerometer_bias = noise.accelerometer_bias_m_s2 * normal(rng);
+        Sensors { gyro_bias, accelerometer_bias, filtered_rates: None, noise }
     }
 
     /// Adds noise and bias to an exact IMU reading, `dt_s` \[s\] after the last one.
@@ -246,11 +243,8 @@ mod tests {
     #[test]
     fn biases_are_drawn_once_and_stay_and_have_the_sizes_they_are_given() {
         let mut rng = ChaCha8Rng::seed_from_u64(2);
-        let noise = SensorNoise {
-            gyro_density_rad_s_sqrt_hz: 0.0,
-            accelerometer_density_m_s2_sqrt_hz: 0.0,
-            ..SensorNoise::default()
-        };
+        let still = SensorNoise { gyro_density_rad_s_sqrt_hz: 0.0, ..SensorNoise::default() };
+        let noise = SensorNoise { accelerometer_density_m_s2_sqrt_hz: 0.0, ..still };
         let exact = ImuReading { gyro: Vector3::zeros(), specific_force: Vector3::zeros() };
         let (mut gyro, mut accelerometer, count) = (0.0, 0.0, 4000);
         for _ in 0..count {

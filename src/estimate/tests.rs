@@ -67,12 +67,9 @@ fn walk(speed: f64, seconds: u32, seed: u64, mut spoil: impl FnMut(&mut Tick, &m
     let mut errors = Errors::default();
     for _ in 0..seconds * 240 {
         let truth = walker.step();
-        let mut tick = Tick {
-            time_s: walker.time_s(),
-            imu: Some(sensors.imu(&truth.imu, DT_S, &mut rng)),
-            encoders: Some(sensors.encoders(&truth.encoders, DT_S, &mut rng)),
-            contacts: truth.contacts,
-        };
+        let imu = Some(sensors.imu(&truth.imu, DT_S, &mut rng));
+        let encoders = Some(sensors.encoders(&truth.encoders, DT_S, &mut rng));
+        let mut tick = Tick { time_s: walker.time_s(), imu, encoders, contacts: truth.contacts };
         spoil(&mut tick, &mut walker);
         let estimate = estimator.update(tick.imu.as_ref(), tick.encoders.as_ref(), tick.contacts, DT_S).unwrap();
         errors.add(tick.time_s, estimate, &truth);

@@ -44,17 +44,8 @@ impl Walker {
     pub fn new(speed: f64) -> Self {
         let robot = Robot::load("go1").unwrap();
         let feet = std::array::from_fn(|leg| nominal(&robot, leg, 0.0));
-        Walker {
-            robot,
-            speed,
-            tick: 0,
-            feet,
-            feet_velocity: [Vector3::zeros(); 4],
-            lift: feet,
-            flying: [false; 4],
-            angles: same_in_every_leg([0.0, 0.8, -1.6]),
-            slip: None,
-        }
+        let (angles, feet_velocity) = (same_in_every_leg([0.0, 0.8, -1.6]), [Vector3::zeros(); 4]);
+        Walker { robot, speed, tick: 0, feet, feet_velocity, lift: feet, flying: [false; 4], angles, slip: None }
     }
 
     pub fn time_s(&self) -> f64 {
@@ -124,14 +115,9 @@ impl Walker {
                 }
             }
         }
-        Truth {
-            position,
-            velocity_in_base: rotation.inverse() * velocity,
-            world_from_base: rotation,
-            imu,
-            encoders: EncoderReading { angles: self.angles, rates },
-            contacts,
-        }
+        let velocity_in_base = rotation.inverse() * velocity;
+        let encoders = EncoderReading { angles: self.angles, rates };
+        Truth { position, velocity_in_base, world_from_base: rotation, imu, encoders, contacts }
     }
 
     /// Returns the completed fraction of a foot's flight; `None` on the ground. FR and RL alternate with FL and RR.

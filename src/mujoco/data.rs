@@ -250,9 +250,7 @@ impl Data {
         ];
         for (warning, kind) in unstable {
             let warning = &warnings[warning as usize];
-            if warning.number > 0 {
-                return Err(Error::Unstable { kind, index: warning.lastinfo });
-            }
+            ensure!(warning.number == 0, Error::Unstable { kind, index: warning.lastinfo });
         }
         if warnings[sys::mjWARN_CONTACTFULL as usize].number > 0 {
             return Err(Error::BufferFull { buffer: "Contacts", size: self.model.nconmax() });

@@ -469,24 +469,15 @@ impl Model {
     pub fn inertial(&self, body: usize) -> Inertial {
         let raw = self.raw();
         let subtrees = self.slice(raw.body_subtreemass, raw.nbody);
-        Inertial {
-            mass_kg: self.body_mass()[body],
-            moments: self.body_inertia(body),
-            centre_m: self.body_centre_of_mass(body),
-            subtrees_kg: self.carriers(body).map(|carrier| (carrier, subtrees[carrier])).collect(),
-        }
+        let centre_m = self.body_centre_of_mass(body);
+        let subtrees_kg = self.carriers(body).map(|carrier| (carrier, subtrees[carrier])).collect();
+        Inertial { mass_kg: self.body_mass()[body], moments: self.body_inertia(body), centre_m, subtrees_kg }
     }
 
-    /// Gives a body more or less mass than `nominal` \[kg\], spread as its own is, and displaces its centre of mass in the
+    /// Gives a body more or less mass than `own` \[kg\], spread as its own is, and displaces its centre of mass in the
     /// body's frame \[m\]. Zero restores the nominal bits.
-    pub(crate) fn set_inertial(
-        &mut self,
-        body: usize,
-        nominal: &Inertial,
-        mass_kg: f64,
-        offset_m: [f64; 3],
-    ) -> Result<()> {
-        let factor = self.mass_factor(body, nominal.mass_kg, mass_kg)?;
+    pub(crate) fn set_inertial(&mut self, body: usize, own: &Inertial, mass_kg: f64, offset_m: [f64; 3]) -> Result<()> {
+        let factor = self.mass_factor(body, own.mass_kg, mass_kg)?;
         assert!(body < self.count(Object::Body), "body {body} out of range");
         let geoms: Vec<usize> = (0..self.count(Object::Geom)).filter(|geom| self.geom_body(*geom) == body).collect();
         let sites: Vec<usize> = (0..self.count(Object::Site)).filter(|site| self.site_body(*site) == body).collect();
@@ -494,12 +485,12 @@ impl Model {
         // SAFETY: the arrays hold one mass, one subtree's mass, three moments and three coordinates for each body, and one
         // flag for each body, geometry and site. A flag says that frames coincide, which saves a rotation; they no longer do.
         unsafe {
-            *raw.body_mass.add(body) = factor * nominal.mass_kg;
+            *raw.body_mass.add(body) = factor * own.mass_kg;
             for (axis, offset) in offset_m.into_iter().enumerate() {
-                *raw.body_inertia.add(3 * body + axis) = factor * nominal.moments[axis];
-                *raw.body_ipos.add(3 * body + axis) = nominal.centre_m[axis] + offset;
+                *raw.body_inertia.add(3 * body + axis) = factor * own.moments[axis];
+                *raw.body_ipos.add(3 * body + axis) = own.centre_m[axis] + offset;
             }
-            for (carrier, subtree_kg) in &nominal.subtrees_kg {
+            for (carrier, subtree_kg) in &own.subtrees_kg {
                 *raw.body_subtreemass.add(*carrier) = subtree_kg + mass_kg;
             }
             *raw.body_sameframe.add(body) = 0;
@@ -597,16 +588,10 @@ impl Model {
         if material >= 0 && rgba == [0.5, 0.5, 0.5, 1.0] {
             rgba = self.row(raw.mat_rgba, raw.nmat, material as usize);
         }
-        Geom {
-            name: self.name(Object::Geom, id).to_owned(),
-            body: self.geom_body(id),
-            shape,
-            size: self.row(raw.geom_size, raw.ngeom, id),
-            position: self.row(raw.geom_pos, raw.ngeom, id),
-            quaternion: self.row(raw.geom_quat, raw.ngeom, id),
-            rgba,
-            group: self.slice(raw.geom_group, raw.ngeom)[id],
-        }
+        let (name, size) = (self.name(Object::Geom, id).to_owned(), self.row(raw.geom_size, raw.ngeom, id));
+        let (position, quaternion) = (self.row(raw.geom_pos, raw.ngeom, id), self.row(raw.geom_quat, raw.ngeom, id));
+        let group = self.slice(raw.geom_group, raw.ngeom)[id];
+        Geom { name, body: self.geom_body(id), shape, size, position, quaternion, rgba, group }
     }
 
     /// Sets the colour and opacity of a geometry in pictures, 0 to 1, and whether it is drawn at all.

@@ -129,12 +129,8 @@ impl Renderer {
     /// The number of poses is not that of the model's bodies.
     pub fn picture(&mut self, poses: &[[f32; 7]], camera: &Camera, marks: &[Mark]) -> Result<Vec<u8>> {
         assert_eq!(poses.len(), self.data.model().count(Object::Body), "poses of another model");
-        let view = sys::SuppleView {
-            target: camera.target,
-            distance: camera.distance_m,
-            azimuth: camera.azimuth_deg,
-            elevation: camera.elevation_deg,
-        };
+        let (azimuth, elevation) = (camera.azimuth_deg, camera.elevation_deg);
+        let view = sys::SuppleView { target: camera.target, distance: camera.distance_m, azimuth, elevation };
         let marks: Vec<sys::SuppleMark> = marks
             .iter()
             .map(|mark| sys::SuppleMark {
@@ -162,9 +158,7 @@ impl Renderer {
                 message.as_mut_ptr(),
             )
         };
-        if failed != 0 {
-            return Err(Error::Renderer(text(&message)));
-        }
+        ensure!(failed == 0, Error::Renderer(text(&message)));
         Ok(self.upside_down.chunks(3 * self.size[0]).rev().flatten().copied().collect())
     }
 }

@@ -90,24 +90,15 @@ impl Matrix {
         Self { rows, values: AlignedBuffer::zeros(rows * columns.next_multiple_of(PANEL)) }
     }
 
-    /// Returns the number of columns that fit into the panels.
-    pub fn columns(&self) -> usize {
-        self.values.len() / self.rows
-    }
-
-    /// Returns the panel that starts at column 32 · `index`.
-    pub fn panel(&self, index: usize) -> &[Row] {
-        &self.values.rows()[index * self.rows..][..self.rows]
-    }
-
-    /// Iterates over the panels in order.
-    pub fn panels(&self) -> impl Iterator<Item = &[Row]> {
-        self.values.rows().chunks(self.rows)
-    }
-
-    /// Iterates over the panels in order.
-    pub fn panels_mut(&mut self) -> impl Iterator<Item = &mut [Row]> {
-        self.values.rows_mut().chunks_mut(self.rows)
+    methods! {
+        /// Returns the number of columns that fit into the panels.
+        fn columns(&self) -> usize = self.values.len() / self.rows;
+        /// Returns the panel that starts at column 32 · `index`.
+        fn panel(&self, index: usize) -> &[Row] = &self.values.rows()[index * self.rows..][..self.rows];
+        /// Iterates over the panels in order.
+        fn panels(&self) -> impl Iterator<Item = &[Row]> = self.values.rows().chunks(self.rows);
+        /// Iterates over the panels in order.
+        fn panels_mut(&mut self) -> impl Iterator<Item = &mut [Row]> = self.values.rows_mut().chunks_mut(self.rows);
     }
 
     /// Writes the first columns of a row.

@@ -302,13 +302,9 @@ mod tests {
             ActorCritic::from_tensors(tensors).unwrap_err().to_string()
         };
         assert_eq!(error(|t| drop(t.remove(1))), "there is no tensor `policy.0.bias`");
-        assert_eq!(
-            error(|t| t[2].1 = vec![20, 7]),
-            "tensor `policy.1.weight` should have shape [7, 20], but has shape [20, 7] and 140 elements"
-        );
-        assert_eq!(
-            error(|t| t.push(("policy.5.bias".into(), vec![1], vec![0.0]))),
-            "tensor `policy.5.bias` belongs to no layer of the policy or the value function"
-        );
+        let found = error(|t| t[2].1 = vec![20, 7]);
+        assert_eq!(found, "tensor `policy.1.weight` should have shape [7, 20], but has shape [20, 7] and 140 elements");
+        let found = error(|t| t.push(("policy.5.bias".into(), vec![1], vec![0.0])));
+        assert_eq!(found, "tensor `policy.5.bias` belongs to no layer of the policy or the value function");
     }
 }

@@ -42,17 +42,9 @@ pub struct Observed {
 impl Observed {
     /// Creates an entry of a quantity at the present step, with offset 0 and scale 1.
     pub fn now(quantity: Quantity) -> Self {
-        Observed {
-            quantity,
-            elements: None,
-            steps_ago: None,
-            offset: None,
-            scale: None,
-            clip: None,
-            frequency_hz: None,
-            phases: None,
-            values: None,
-        }
+        let (elements, steps_ago, phases, values) = (None, None, None, None);
+        let (offset, scale, clip, frequency_hz) = (None, None, None, None);
+        Observed { quantity, elements, steps_ago, offset, scale, clip, frequency_hz, phases, values }
     }
 }
 

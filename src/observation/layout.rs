@@ -77,9 +77,7 @@ impl Layout {
         for (index, entry) in entries.iter().enumerate() {
             let (number, quantity) = (index + 1, entry.quantity);
             let fail = |problem| LayoutError::Entry { number, quantity, problem: Box::new(problem) };
-            if quantity.is_privileged() && !privileged {
-                return Err(fail(LayoutError::Privileged));
-            }
+            ensure!(privileged || !quantity.is_privileged(), fail(LayoutError::Privileged));
             let mut block = block(entry).map_err(fail)?;
             block.start = width;
             width += block.width;
@@ -89,19 +87,10 @@ impl Layout {
             blocks.push(block);
         }
         let length = history.len() * blocks.iter().map(ObservationBlock::length).sum::<usize>();
-        if length > MAX_LENGTH || length == 0 {
-            return Err(LayoutError::Length(length));
-        }
-        let mut layout = Layout {
-            order,
-            history: history.to_vec(),
-            sources: Vec::with_capacity(length),
-            offset: Vec::with_capacity(length),
-            scale: Vec::with_capacity(length),
-            clip: Vec::with_capacity(length),
-            depth: 0,
-            blocks: Vec::new(),
-        };
+        ensure!((1..=MAX_LENGTH).contains(&length), LayoutError::Length(length));
+        let (own, sources, offset) = (history.to_vec(), Vec::with_capacity(length), Vec::with_capacity(length));
+        let (scale, clip) = (Vec::with_capacity(length), Vec::with_capacity(length));
+        let mut layout = Layout { order, history: own, sources, offset, scale, clip, depth: 0, blocks: Vec::new() };
         for frame in history {
             for (k, block) in blocks.iter().enumerate() {
                 for steps in &block.steps_ago {
@@ -143,9 +132,7 @@ impl Layout {
     /// Returns the same layout with other offsets and scales, shape (length) each.
     pub(crate) fn with_normaliser(mut self, offset: Vec<f64>, scale: Vec<f64>) -> Result<Self, LayoutError> {
         let (found, expected) = ([offset.len(), scale.len()], self.length());
-        if found != [expected; 2] {
-            return Err(LayoutError::Normaliser { found, expected });
-        }
+        ensure!(found == [expected; 2], LayoutError::Normaliser { found, expected });
         (self.offset, self.scale) = (offset, scale);
         self.check_normaliser()?;
         Ok(self)
@@ -227,9 +214,7 @@ impl Layout {
         }
         for (k, (image, sign)) in images.iter().enumerate() {
             let alike = self.scale[k] == self.scale[*image] && self.offset[k] == f64::from(*sign) * self.offset[*image];
-            if !alike {
-                return Err(LayoutError::Lopsided(self.names().swap_remove(k)));
-            }
+            ensure!(alike, LayoutError::Lopsided(self.names().swap_remove(k)));
         }
         Ok(images)
     }
@@ -303,21 +288,13 @@ mod tests {
         Layout::new(&Config::load("compliant").unwrap().observation, &nominal).unwrap()
     }
 
-    const ZERO: &[f64; 12] = &[0.0; 12];
-    const NOMINAL: NominalValues = NominalValues { pose: *ZERO, height_m: 0.3, action_scale_rad: [0.3; 12] };
+    const NIL: &[f64; 12] = &[0.0; 12];
+    const NOMINAL: NominalValues = NominalValues { pose: *NIL, height_m: 0.3, action_scale_rad: [0.3; 12] };
 
     /// Returns the input of a state and a command without a past.
     fn input<'a>(state: &'a RobotState, command: &'a Command) -> ObservationInput<'a> {
         let privileged = Privileged::default();
-        ObservationInput {
-            state,
-            command,
-            last_action: ZERO,
-            last_target: ZERO,
-            nominal: ZERO,
-            time_s: 0.0,
-            privileged,
-        }
+        ObservationInput { state, command, last_action: NIL, last_target: NIL, nominal: NIL, time_s: 0.0, privileged }
     }
 
     fn observe(observer: &mut Observer, layout: &Layout, state: &RobotState, target: f64) -> Vec<f64> {

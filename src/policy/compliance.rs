@@ -138,14 +138,10 @@ impl PolicyCalibration {
     pub(crate) fn checked(self, sha256: &str) -> Result<Self, CalibrationFault> {
         let points = &self.points;
         let numbers = points.iter().flat_map(|point| [point.commanded].into_iter().chain(point.measured));
-        if self.sha256 != sha256 {
-            return Err(CalibrationFault::OtherPolicy);
-        }
+        ensure!(self.sha256 == sha256, CalibrationFault::OtherPolicy);
         let rising = points.windows(2).all(|pair| pair[1].commanded > pair[0].commanded);
         let positive = numbers.chain([self.mass_kg]).all(|it| it.is_finite() && it > 0.0);
-        if points.len() < 2 || !rising || !positive {
-            return Err(CalibrationFault::Values);
-        }
+        ensure!(points.len() >= 2 && rising && positive, CalibrationFault::Values);
         for (key, values, limits, expected) in [
             ("own_m_s_per_n", self.own_m_s_per_n, -1.0..=1.0, "-1 to 1 m/s/N"),
             ("tracking", self.tracking, 0.5..=1.5, "0.5 to 1.5"),
@@ -159,13 +155,9 @@ impl PolicyCalibration {
 
     /// Returns the virtual mass for the rates and commands of the policy's configuration.
     fn virtual_mass(&self, config: &Config) -> VirtualMass {
-        VirtualMass {
-            mass_kg: self.mass_kg,
-            own_m_s_per_n: self.own_m_s_per_n,
-            tracking: self.tracking,
-            limits_m_s: [config.command.forward_m_s, config.command.left_m_s],
-            period_s: config.simulation.policy_period_s(),
-        }
+        let (own_m_s_per_n, limits_m_s) = (self.own_m_s_per_n, [config.command.forward_m_s, config.command.left_m_s]);
+        let period_s = config.simulation.policy_period_s();
+        VirtualMass { mass_kg: self.mass_kg, own_m_s_per_n, tracking: self.tracking, limits_m_s, period_s }
     }
 
     /// Returns the smallest and the largest compliance that can be commanded [m/s/N].

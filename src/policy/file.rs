@@ -177,8 +177,8 @@ impl Policy {
         let config = &provenance.config;
         let usage = Usage::new(&layout, robot);
         let nominal_pose = config.action.nominal_pose_rad.joints();
-        let mlp = Network::Mlp(PackedMlp::new(&network.policy));
-        let inference = Inference::new(layout, nominal_pose, config.action.scale_rad, mlp, &config.simulation);
+        let (mlp, period_s) = (Network::Mlp(PackedMlp::new(&network.policy)), config.simulation.policy_period_s());
+        let inference = Inference::new(layout, nominal_pose, config.action.scale_rad, mlp, period_s);
         let mut policy = Policy { actor: network.policy.clone(), usage, inference, provenance, sha256: String::new() };
         // What was built from whole tensors can be serialised.
         policy.sha256 = files::sha256(&[&policy.to_bytes().unwrap_or_default()]);
@@ -277,19 +277,15 @@ impl Policy {
         let network = tensors::read_group(&tensors, "policy.")?;
         let actor = Mlp::from_tensors(network, length, JOINTS)?;
         let PolicyMetadata { nominal_pose_rad, scale_rad, provenance, usage, .. } = metadata;
-        let mlp = Network::Mlp(PackedMlp::new(&actor));
-        let inference = Inference::new(layout, nominal_pose_rad, scale_rad, mlp, &provenance.config.simulation);
+        let (mlp, simulation) = (Network::Mlp(PackedMlp::new(&actor)), &provenance.config.simulation);
+        let inference = Inference::new(layout, nominal_pose_rad, scale_rad, mlp, simulation.policy_period_s());
         let policy = Policy { actor, inference, provenance, usage, sha256: files::sha256(&[bytes]) };
         let observations = read("golden.observation", &[GOLDEN, length])?;
         let expected = read("golden.joint_target", &[GOLDEN, JOINTS])?;
         let found = policy.targets_of(&observations);
         let worst = numbers::largest_magnitude(found.iter().zip(&expected).map(|(a, b)| a - b));
-        if !worst.is_finite() {
-            return Err(PolicyFileFault::GoldenNotFinite);
-        }
-        if worst > GOLDEN_TOLERANCE {
-            return Err(PolicyFileFault::Golden { worst });
-        }
+        ensure!(worst.is_finite(), PolicyFileFault::GoldenNotFinite);
+        ensure!(worst <= GOLDEN_TOLERANCE, PolicyFileFault::Golden { worst });
         Ok(policy)
     }
 
@@ -354,18 +350,12 @@ impl PolicyMetadata {
         let (named, configured) = (self.usage.observation_elements.len(), layout.length());
         // The file may state any lengths, so the sum saturates.
         let described = self.observation.iter().fold(0_usize, |sum, block| sum.saturating_add(block.length));
-        if [named, described] != [configured; 2] {
-            return Err(PolicyFileFault::Length { described, named, configured });
-        }
-        if self.joints != joint_names() {
-            return Err(PolicyFileFault::Joints(self.joints.clone()));
-        }
+        ensure!([named, described] == [configured; 2], PolicyFileFault::Length { described, named, configured });
+        ensure!(self.joints == joint_names(), PolicyFileFault::Joints(self.joints.clone()));
         if !numbers::finite_in_single(&self.nominal_pose_rad) || !numbers::finite_in_single(&[self.scale_rad]) {
             return Err(PolicyFileFault::Action);
         }
-        if self.simulation != config.simulation {
-            return Err(PolicyFileFault::Simulation);
-        }
+        ensure!(self.simulation == config.simulation, PolicyFileFault::Simulation);
         Ok(layout)
     }
 }
@@ -392,14 +382,8 @@ pub(crate) mod tests {
     /// A policy on the Go1 that was not trained.
     pub(crate) fn untrained(network: &ActorCritic, config: Config) -> Policy {
         let layout = config.layout().unwrap();
-        let provenance = Provenance {
-            config_name: "compliant".into(),
-            config,
-            seed: 5,
-            samples: 0,
-            git_revision: "test".into(),
-            mujoco_version: "2.2.2".into(),
-        };
+        let (git_revision, mujoco_version, config_name) = ("test".into(), "2.2.2".into(), "compliant".into());
+        let provenance = Provenance { config_name, config, seed: 5, samples: 0, git_revision, mujoco_version };
         Policy::new(network, &Robot::load("go1").unwrap(), layout, provenance)
     }
 

@@ -5,7 +5,7 @@ use std::fmt;
 
 use super::controller::Controller;
 use super::onnx;
-use crate::config::{Config, Simulation};
+use crate::config::Config;
 use crate::network::{PackedMlp, Scratch};
 use crate::observation::{Command, Layout, LayoutError, ObservationInput, Observer, Privileged, Quantity};
 use crate::robot::{JOINTS, Joints, RobotState, joint_target};
@@ -101,20 +101,15 @@ impl Inference {
     /// The observation of the configuration does not fit its robot.
     pub fn in_environment(config: &Config, network: Network) -> Result<Self, LayoutError> {
         let (layout, nominal_pose) = (config.layout()?, config.action.nominal_pose_rad.joints());
-        Ok(Self::new(layout, nominal_pose, config.action.scale_rad, network, &config.simulation))
+        let period_s = config.simulation.policy_period_s();
+        Ok(Self::new(layout, nominal_pose, config.action.scale_rad, network, period_s))
     }
 
     /// Creates the inference of a network whose outputs are offsets from the nominal pose, over a scale \[rad\].
-    pub(super) fn new(
-        layout: Layout,
-        nominal_pose: Joints,
-        scale_rad: f64,
-        network: Network,
-        simulation: &Simulation,
-    ) -> Self {
+    pub(super) fn new(layout: Layout, nominal_pose: Joints, scale_rad: f64, network: Network, period_s: f64) -> Self {
         let (meaning, scale_rad) = (Meaning::OffsetFromNominal, [scale_rad; JOINTS]);
         let action = JointPositionAction { nominal_pose, meaning, scale_rad, clip: f64::INFINITY };
-        Inference { layout, action, network, period_s: simulation.policy_period_s() }
+        Inference { layout, action, network, period_s }
     }
 
     /// Returns the clipped outputs, shape (rows, joints), in the policy's order, for normalised observations, shape
@@ -207,15 +202,9 @@ impl<I: Borrow<Inference> + Send> Controller for PolicyController<I> {
         let inference: &Inference = self.inference.borrow();
         let layout = &inference.layout;
         let ObservedPast { observer, step, last_action, last_target } = &mut self.past;
-        let now = ObservationInput {
-            state,
-            command,
-            last_action,
-            last_target,
-            nominal: &inference.action.nominal_pose,
-            time_s: *step as f64 * inference.period_s,
-            privileged: Privileged::default(),
-        };
+        let (nominal, time_s) = (&inference.action.nominal_pose, *step as f64 * inference.period_s);
+        let privileged = Privileged::default();
+        let now = ObservationInput { state, command, last_action, last_target, nominal, time_s, privileged };
         observer.measure(layout, &now);
         observer.normalised(layout, &mut self.seen);
         (*last_action, *last_target) = inference.act(&self.seen, &mut self.buffers);

@@ -39,9 +39,7 @@ pub fn find(name: &str) -> Result<Agent, AgentError> {
 /// There is no such policy (the error lists the shipped ones), or its file is invalid.
 pub fn find_uncalibrated(name: &str) -> Result<Agent, AgentError> {
     if let Some(file) = file_of(name) {
-        if is_onnx(&file) {
-            return Err(AgentError::Undescribed(name.to_owned()));
-        }
+        ensure!(!is_onnx(&file), AgentError::Undescribed(name.to_owned()));
         return Agent::load_uncalibrated(&file);
     }
     let shipped = embedded(name).ok_or_else(|| AgentError::Unknown { name: name.to_owned(), known: known() })?;
@@ -101,9 +99,7 @@ fn position(names: &[&str], name: &str) -> Option<usize> {
 /// There is no such policy, its file is invalid, or it is external.
 pub fn find_ours(name: &str) -> Result<Policy, AgentError> {
     let agent = find(name)?;
-    if agent.commanded_compliance.is_some() {
-        return Err(AgentError::Commanded(name.to_owned()));
-    }
+    ensure!(agent.commanded_compliance.is_none(), AgentError::Commanded(name.to_owned()));
     agent.into_policy().ok_or_else(|| AgentError::External(name.to_owned()))
 }
 

@@ -80,16 +80,10 @@ pub struct Samples {
 impl Samples {
     /// Borrows the samples as a batch.
     pub fn batch(&self) -> Batch<'_> {
-        Batch {
-            observations: &self.observations,
-            critic_observations: &self.critic_observations,
-            actions: &self.actions,
-            means: &self.means,
-            log_std: &self.log_std,
-            log_probs: &self.log_probs,
-            advantages: &self.advantages,
-            returns: &self.returns,
-        }
+        let (observations, critic_observations) = (&self.observations, &self.critic_observations);
+        let (actions, means, log_std, log_probs) = (&self.actions, &self.means, &self.log_std, &self.log_probs);
+        let (advantages, returns) = (&self.advantages, &self.returns);
+        Batch { observations, critic_observations, actions, means, log_std, log_probs, advantages, returns }
     }
 }
 
@@ -262,10 +256,7 @@ pub(in crate::ppo) mod tests {
         let settings = Ppo { entropy_coefficient: 0.01, final_entropy_coefficient: Some(0.002), ..settings() };
         let weights = [0.0, 0.25, 1.0, 1.5].map(|part| entropy_coefficient_after(&settings, part));
         let expected = [0.01, 0.008, 0.002, 0.002];
-        assert!(
-            weights.iter().zip(expected).all(|(weight, expected)| (weight - expected).abs() < 1e-15),
-            "{weights:?}"
-        );
+        assert!(weights.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-15), "{weights:?}");
         let constant = Ppo { final_entropy_coefficient: None, ..settings };
         assert_eq!(entropy_coefficient_after(&constant, 0.7), 0.01);
     }

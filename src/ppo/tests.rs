@@ -35,16 +35,9 @@ fn samples(network: &ActorCritic, samples: usize, seed: u64) -> Samples {
     let std = log_std.iter().map(|x| x.exp()).cycle();
     let taken: Vec<f32> = means.iter().zip(noise).zip(std).map(|((mean, x), std)| mean + std * x).collect();
     let log_probs = means.chunks(actions).zip(taken.chunks(actions)).map(|(m, a)| policy.log_prob(m, a) as f32);
-    Samples {
-        log_probs: log_probs.collect(),
-        observations,
-        critic_observations: normal(samples * critic, 1.0, rng),
-        actions: taken,
-        means,
-        log_std,
-        advantages: normal(samples, 3.0, rng),
-        returns: normal(samples, 2.0, rng),
-    }
+    let (log_probs, critic_observations) = (log_probs.collect(), normal(samples * critic, 1.0, rng));
+    let (advantages, returns) = (normal(samples, 3.0, rng), normal(samples, 2.0, rng));
+    Samples { log_probs, observations, critic_observations, actions: taken, means, log_std, advantages, returns }
 }
 
 fn normal(count: usize, scale: f32, rng: &mut ChaCha8Rng) -> Vec<f32> {
@@ -473,14 +466,10 @@ fn a_batch_that_does_not_fit_is_refused() {
     let samples = samples(&network, 64, 1);
     let short = Batch { means: &samples.means[1..], ..samples.batch() };
     for (mut learner, _) in learners(&network, &settings(64)) {
-        assert_eq!(
-            learner.update(&short, &permutations(64, 1, 1)).unwrap_err().to_string(),
-            "means of the batch should have 320 elements, but has 319"
-        );
-        assert_eq!(
-            learner.update(&samples.batch(), &[vec![64]]).unwrap_err().to_string(),
-            "the permutation of epoch 0 names sample 64 of only 64"
-        );
+        let fault = learner.update(&short, &permutations(64, 1, 1)).unwrap_err().to_string();
+        assert_eq!(fault, "means of the batch should have 320 elements, but has 319");
+        let fault = learner.update(&samples.batch(), &[vec![64]]).unwrap_err().to_string();
+        assert_eq!(fault, "the permutation of epoch 0 names sample 64 of only 64");
     }
 }
 

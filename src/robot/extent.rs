@@ -28,11 +28,8 @@ impl Extent {
         let [x, y, z] = [Vector3::x(), Vector3::y(), Vector3::z()];
         let volume = |shape: &&Geom| [x, y, z].map(|axis| half_width(shape, axis)).iter().product::<f64>();
         let largest = shapes.iter().max_by(|a, b| volume(a).total_cmp(&volume(b)));
-        Extent {
-            ahead: farthest(x),
-            behind: farthest(-x),
-            side: largest.map_or(0.0, |shape| reach(shape, y).max(reach(shape, -y))),
-        }
+        let side = largest.map_or(0.0, |shape| reach(shape, y).max(reach(shape, -y)));
+        Extent { ahead: farthest(x), behind: farthest(-x), side }
     }
 }
 

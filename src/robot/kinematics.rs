@@ -164,17 +164,9 @@ impl Leg {
         if axes[1].cross(&axes[2]).norm() > PARALLEL {
             return Err(RobotError::Axes(name));
         }
-        Ok(Leg {
-            zero,
-            hip_axis: axes[0],
-            thigh_axis: axes[1],
-            calf_sign: along.signum(),
-            hip: links[0],
-            thigh: links[1],
-            knee: links[2],
-            foot: place + turn * Vector3::from(foot.position),
-            foot_radius_m: foot.radius_m,
-        })
+        let (calf_sign, hip, thigh, knee) = (along.signum(), links[0], links[1], links[2]);
+        let (foot, foot_radius_m) = (place + turn * Vector3::from(foot.position), foot.radius_m);
+        Ok(Leg { zero, hip_axis: axes[0], thigh_axis: axes[1], calf_sign, hip, thigh, knee, foot, foot_radius_m })
     }
 
     /// Returns the centre of the foot, base frame \[m\], for the leg's hip, thigh and calf angle \[rad\].
@@ -360,10 +352,7 @@ mod tests {
         let straight = Model::from_xml(&[("robot.xml", robot.mjcf())]).unwrap();
         let turned = robot
             .mjcf()
-            .replace(
-                r#"<body name="FR_calf" pos="0 0 -0.213">"#,
-                r#"<body name="FR_calf" pos="0 0 -0.213" quat="0 0 0 1">"#,
-            )
+            .replace(r#""FR_calf" pos="0 0 -0.213">"#, r#""FR_calf" pos="0 0 -0.213" quat="0 0 0 1">"#)
             .replace(
                 r#"<joint name="FR_calf_joint" class="go1_calf"/>"#,
                 r#"<joint name="FR_calf_joint" class="go1_calf" ref="0.3"/>"#,

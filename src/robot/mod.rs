@@ -282,19 +282,13 @@ impl Robot {
         Ok(robot)
     }
 
-    /// Returns the MJCF document that scenes include.
-    pub fn mjcf(&self) -> &str {
-        &self.mjcf
-    }
-
-    /// Returns the SHA-256 of the robot's files, meshes and description included, which identifies it.
-    pub fn sha256(&self) -> &str {
-        &self.sha256
-    }
-
-    /// Returns the height of the trunk's origin above the ground when it stands level on its lowest foot \[m\].
-    pub fn standing_height_m(&self, pose: &Joints) -> f64 {
-        kinematics::standing_height_m(&self.legs, pose)
+    methods! {
+        /// Returns the MJCF document that scenes include.
+        fn mjcf(&self) -> &str = &self.mjcf;
+        /// Returns the SHA-256 of the robot's files, meshes and description included, which identifies it.
+        fn sha256(&self) -> &str = &self.sha256;
+        /// Returns the height of the trunk's origin above the ground when it stands level on its lowest foot \[m\].
+        fn standing_height_m(&self, pose: &Joints) -> f64 = kinematics::standing_height_m(&self.legs, pose);
     }
 
     /// Describes the values read from the robot's file and the changes made to it.

@@ -68,24 +68,18 @@ pub struct RobotState {
 }
 
 impl RobotState {
-    /// Returns roll, pitch and yaw of the trunk relative to the world \[rad\].
-    pub fn roll_pitch_yaw(&self) -> (f64, f64, f64) {
-        self.world_from_base.euler_angles()
-    }
-
-    /// Returns the velocity of the base, world frame [m/s].
-    pub fn velocity_in_world(&self) -> Vector3<f64> {
-        self.world_from_base * self.velocity_in_base
+    methods! {
+        /// Returns roll, pitch and yaw of the trunk relative to the world \[rad\].
+        fn roll_pitch_yaw(&self) -> (f64, f64, f64) = self.world_from_base.euler_angles();
+        /// Returns the velocity of the base, world frame [m/s].
+        fn velocity_in_world(&self) -> Vector3<f64> = self.world_from_base * self.velocity_in_base;
+        /// Returns the velocity of the base, heading frame [m/s].
+        fn velocity_in_heading(&self) -> Vector3<f64> = self.heading().inverse() * self.velocity_in_world();
     }
 
     /// Returns the rotation from the heading frame to the world frame: the trunk's yaw alone.
     pub fn heading(&self) -> UnitQuaternion<f64> {
         let (_, _, yaw) = self.roll_pitch_yaw();
         UnitQuaternion::from_euler_angles(0.0, 0.0, yaw)
-    }
-
-    /// Returns the velocity of the base, heading frame [m/s].
-    pub fn velocity_in_heading(&self) -> Vector3<f64> {
-        self.heading().inverse() * self.velocity_in_world()
     }
 }

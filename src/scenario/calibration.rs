@@ -90,13 +90,8 @@ pub fn calibrate(agent: &mut Agent, threads: usize) -> Result<PolicyCalibration,
     agent.calibration = None;
     let own = compliance(agent, None, threads)?.ok_or(CalibrationError::Falls("when pulled with 10 or 20 N"))?;
     let mass_kg = agent.config.robot.load().map_err(ScriptError::from)?.mass_kg;
-    let mut calibration = PolicyCalibration {
-        sha256: agent.sha256.clone(),
-        mass_kg,
-        own_m_s_per_n: own,
-        tracking: [1.0; 2],
-        points: Vec::new(),
-    };
+    let (sha256, points) = (agent.sha256.clone(), Vec::new());
+    let mut calibration = PolicyCalibration { sha256, mass_kg, own_m_s_per_n: own, tracking: [1.0; 2], points };
     agent.calibration = Some(calibration.clone());
     // The compliance that is missing at a soft setting is the part of the command that the policy does not track.
     let soft = compliance(agent, Some(SOFT), threads)?.ok_or(CalibrationError::Falls("commanded 0.04 m/s/N"))?;

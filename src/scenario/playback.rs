@@ -194,12 +194,8 @@ impl<'a> Playback<'a> {
     pub fn beginning(mut self) -> Option<Beginning> {
         let mut beginning = Beginning::default();
         for _ in 0..self.length {
-            let moment = Moment {
-                state: self.world.state().clone(),
-                world: self.world.save(),
-                forces: self.force_sense.as_mut().map(ForceSense::save),
-                felt: [self.felt, self.true_force],
-            };
+            let (forces, felt) = (self.force_sense.as_mut().map(ForceSense::save), [self.felt, self.true_force]);
+            let moment = Moment { state: self.world.state().clone(), world: self.world.save(), forces, felt };
             beginning.moments.push(moment);
             match self.next() {
                 Some(PlaybackStep { frame: Some(frame), events }) if events.is_empty() => beginning.frames.push(frame),
@@ -415,9 +411,13 @@ impl<'a> Playback<'a> {
 }
 
 impl<'a> Playback<'a> {
-    /// Returns the present command.
-    pub fn command(&self) -> &Command {
-        &self.command
+    methods! {
+        /// Returns the present command.
+        fn command(&self) -> &Command = &self.command;
+        /// Pulls the trunk with a constant force, forward and left in the heading frame \[N\]; `None` ends the pull.
+        fn pull(&mut self, force: Option<[f64; 2]>) = self.world.pull_by_hand(force);
+        /// Returns true if physics or sensors have failed; then only [`Playback::restart`] helps.
+        fn has_failed(&self) -> bool = self.failed;
     }
 
     /// Changes the command from the next step on. A commanded compliance needs [`Playback::with_felt_forces`] from the start.
@@ -430,11 +430,6 @@ impl<'a> Playback<'a> {
         let at_s = self.world.time_s();
         // A push needs no part of the scene.
         let _ = self.world.disturb(Disturbance::Push(Push { at_s, linear, ..Push::default() }));
-    }
-
-    /// Pulls the trunk with a constant force, forward and left in the heading frame \[N\]; `None` ends the pull.
-    pub fn pull(&mut self, force: Option<[f64; 2]>) {
-        self.world.pull_by_hand(force);
     }
 
     /// Holds the script's clock at zero, for a robot that first has to get up: until it is released, there are no disturbances
@@ -468,11 +463,6 @@ impl<'a> Playback<'a> {
         self.passed_goal_since = None;
         self.begin_again();
         Ok(())
-    }
-
-    /// Returns true if physics or sensors have failed; then only [`Playback::restart`] helps.
-    pub fn has_failed(&self) -> bool {
-        self.failed
     }
 
     fn begin_again(&mut self) {

@@ -67,23 +67,17 @@ pub struct ExactSensors {
 impl ExactSensors {
     /// Creates the sensors in the present state of the robot.
     pub fn new(sim: &Sim, conditions: &Conditions) -> Self {
-        ExactSensors {
-            imu_in_base: sim.robot().imu_in_base,
-            offsets: conditions.encoder_bias,
-            last_velocity: sim.parts().trunk_velocity(sim.data()),
-        }
+        let last_velocity = sim.parts().trunk_velocity(sim.data());
+        ExactSensors { imu_in_base: sim.robot().imu_in_base, offsets: conditions.encoder_bias, last_velocity }
     }
 
     /// Reads the sensors; to be called once after each physics step.
     pub fn read(&mut self, data: &Data, parts: &Parts) -> (ImuReading, EncoderReading) {
         let dt_s = data.model().timestep_s();
         let velocity = parts.trunk_velocity(data);
-        let motion = TrunkMotion {
-            world_from_base: parts.world_from_base(data),
-            acceleration: (velocity.0 - self.last_velocity.0) / dt_s,
-            angular_velocity: velocity.1,
-            angular_acceleration: (velocity.1 - self.last_velocity.1) / dt_s,
-        };
+        let (world_from_base, acceleration) = (parts.world_from_base(data), (velocity.0 - self.last_velocity.0) / dt_s);
+        let angular_acceleration = (velocity.1 - self.last_velocity.1) / dt_s;
+        let motion = TrunkMotion { world_from_base, acceleration, angular_velocity: velocity.1, angular_acceleration };
         self.last_velocity = velocity;
         let encoders = EncoderReading::exact(&parts.joint_angles(data), parts.joint_rates(data), &self.offsets);
         (ImuReading::exact(&motion, self.imu_in_base, Vector3::from(data.model().gravity())), encoders)
@@ -128,9 +122,7 @@ impl Senses {
         target: &Joints,
     ) -> Result<Self, SensingError> {
         let timestep_s = sim.data().model().timestep_s();
-        if (timestep_s * RATE_HZ - 1.0).abs() > 1e-6 {
-            return Err(SensingError::Rate(1.0 / timestep_s));
-        }
+        ensure!((timestep_s * RATE_HZ - 1.0).abs() <= 1e-6, SensingError::Rate(1.0 / timestep_s));
         let mut rng = stream(seed, Purpose::Sensor, 0, 0);
         let state = sim.state();
         let robot = Arc::clone(sim.robot());
@@ -215,13 +207,9 @@ impl Senses {
     /// Returns the estimate as stored in a frame, beside the feet that do stand.
     pub fn sensed(&self, truth: &RobotState) -> Sensed {
         let estimate = self.estimate();
-        Sensed {
-            velocity: estimate.velocity_in_base.into(),
-            height_m: estimate.height_m,
-            position: (estimate.position + self.origin).into(),
-            contacts: self.touching,
-            true_contacts: truth.feet.map(|foot| foot.stands()),
-        }
+        let (velocity, position) = (estimate.velocity_in_base.into(), (estimate.position + self.origin).into());
+        let true_contacts = truth.feet.map(|foot| foot.stands());
+        Sensed { velocity, height_m: estimate.height_m, position, contacts: self.touching, true_contacts }
     }
 
     fn estimate(&self) -> &Estimate {
@@ -379,10 +367,8 @@ mod tests {
             events.extend(played.events);
         }
         let [told] = &events[..] else { panic!("{events:?}") };
-        assert_eq!(
-            told.text,
-            "sensors: accelerometer x reads NaN, expected a finite number; bridged by the other sensor"
-        );
+        let words = "sensors: accelerometer x reads NaN, expected a finite number; bridged by the other sensor";
+        assert_eq!(told.text, words);
         let worst = |steps: std::ops::Range<usize>| errors[steps].iter().copied().fold(0.0, f64::max);
         assert!(worst(90..105) < 0.3 && worst(150..180) < 0.1, "{} {}", worst(90..105), worst(150..180));
     }

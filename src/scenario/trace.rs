@@ -146,14 +146,13 @@ pub struct Trace {
 }
 
 impl Trace {
-    /// Returns the first fall, if any.
-    pub fn fall(&self) -> Option<&Event> {
-        self.events.iter().find(|event| event.kind == EventKind::Fall)
-    }
-
-    /// Returns the fault of policy, physics or sensors that ended the playback, if any.
-    pub fn fault(&self) -> Option<&Event> {
-        self.events.iter().find(|event| event.kind == EventKind::Fault)
+    methods! {
+        /// Returns the first fall, if any.
+        fn fall(&self) -> Option<&Event> = self.events.iter().find(|event| event.kind == EventKind::Fall);
+        /// Returns the fault of policy, physics or sensors that ended the playback, if any.
+        fn fault(&self) -> Option<&Event> = self.events.iter().find(|event| event.kind == EventKind::Fault);
+        /// Returns true if the robot reached the script's goal on its feet.
+        fn reached_goal(&self) -> bool = self.events.iter().any(|event| event.kind == EventKind::Success);
     }
 
     /// Returns the part before the first fall, or the whole trace.
@@ -184,10 +183,5 @@ impl Trace {
             events: self.events.iter().filter(|event| event.time_s > time_s).cloned().collect(),
             ..*self
         }
-    }
-
-    /// Returns true if the robot reached the script's goal on its feet.
-    pub fn reached_goal(&self) -> bool {
-        self.events.iter().any(|event| event.kind == EventKind::Success)
     }
 }

@@ -37,12 +37,8 @@ pub(super) struct Nominal {
 impl Nominal {
     /// Reads the dynamics of a robot from its model, with the gains of a configuration.
     pub(super) fn new(data: &Data, parts: &Parts, config: &Simulation, losses: Losses) -> Self {
-        Nominal {
-            trunk: data.model().inertial(parts.trunk()),
-            gains: Gains::new(config),
-            timestep_s: config.timestep_s(),
-            losses,
-        }
+        let timestep_s = config.timestep_s();
+        Nominal { trunk: data.model().inertial(parts.trunk()), gains: Gains::new(config), timestep_s, losses }
     }
 
     /// Gives a model deviating dynamics, and returns its gains and its latency.

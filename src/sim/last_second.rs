@@ -78,13 +78,10 @@ mod tests {
             ring.note(&[value, f64::NAN], &[-value], &[0.5; 12]);
         }
         let csv = ring.csv();
-        let lines: Vec<&str> = csv.lines().collect();
-        assert!(
-            lines[0].starts_with("steps_before_fault,position_0,position_1,velocity_0,target_FR_hip_rad,"),
-            "{csv}"
-        );
-        let starts: Vec<&str> = lines[1..].iter().map(|line| line.split_at(11).0).collect();
+        let rows: Vec<&str> = csv.lines().collect();
+        assert!(rows[0].starts_with("steps_before_fault,position_0,position_1,velocity_0,target_FR_hip_rad,"), "{csv}");
+        let starts: Vec<&str> = rows[1..].iter().map(|line| line.split_at(11).0).collect();
         assert_eq!(starts, ["2,2,NaN,-2,", "1,3,NaN,-3,", "0,4,NaN,-4,"]);
-        assert!(lines.iter().all(|line| line.split(',').count() == 1 + 2 + 1 + 12));
+        assert!(rows.iter().all(|line| line.split(',').count() == 1 + 2 + 1 + 12));
     }
 }

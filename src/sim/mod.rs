@@ -370,14 +370,9 @@ impl Sim {
 
     /// Returns the state from which the simulation continues exactly.
     pub fn save(&self) -> SimState {
-        SimState {
-            positions: self.unnormalised.clone(),
-            velocities: self.data.velocities().to_vec(),
-            warm_start: self.data.warm_start().to_vec(),
-            time_s: self.data.time_s(),
-            latency: self.latency.clone(),
-            conditions: self.conditions,
-        }
+        let (positions, velocities) = (self.unnormalised.clone(), self.data.velocities().to_vec());
+        let (warm_start, latency) = (self.data.warm_start().to_vec(), self.latency.clone());
+        SimState { positions, velocities, warm_start, time_s: self.data.time_s(), latency, conditions: self.conditions }
     }
 
     /// Restores a saved state.

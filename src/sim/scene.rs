@@ -72,17 +72,9 @@ thread_local! {
 impl Scene {
     /// Creates the training scene: the robot alone on a plane.
     pub fn flat(robot: Arc<Robot>, timestep_s: f64) -> Self {
-        Scene {
-            robot,
-            extra_mass_kg: 0.0,
-            ground: Ground::Flat,
-            timestep_s,
-            obstacles: String::new(),
-            extras: String::new(),
-            lists_pairs: false,
-            solver: "",
-            buffers: Buffers { contacts: 32, rows: 200, stack: 20_000 },
-        }
+        let (ground, obstacles, extras, solver) = (Ground::Flat, String::new(), String::new(), "");
+        let buffers = Buffers { contacts: 32, rows: 200, stack: 20_000 };
+        Scene { robot, extra_mass_kg: 0.0, ground, timestep_s, obstacles, extras, lists_pairs: false, solver, buffers }
     }
 
     /// Compiles the scene for simulation, without geometries that are only for display, which nearly halves the cost of

@@ -286,12 +286,8 @@ impl SwingTracker {
 
     /// Returns the landings since the last call, and resets them.
     pub fn take(&mut self) -> Landings {
-        let landings = Landings {
-            foot_height: self.paid,
-            count: self.landings,
-            peak_sum_m: self.landed_m,
-            flight_fraction: self.steps_in_flight as f64 / self.steps.max(1) as f64,
-        };
+        let (count, flight_fraction) = (self.landings, self.steps_in_flight as f64 / self.steps.max(1) as f64);
+        let landings = Landings { foot_height: self.paid, count, peak_sum_m: self.landed_m, flight_fraction };
         (self.paid, self.landings, self.landed_m) = (0.0, 0, 0.0);
         (self.steps, self.steps_in_flight) = (0, 0);
         landings

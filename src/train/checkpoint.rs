@@ -171,12 +171,8 @@ impl Checkpoint {
                 all.push(StoredTensor::f32(format!("{group}.{name}"), shape, values));
             }
         }
-        let metadata = Metadata {
-            format: FORMAT,
-            sha256: checksum(&run, &self.learner),
-            optimiser_steps: self.learner.steps,
-            learning_rate: self.learner.learning_rate,
-        };
+        let (sha256, optimiser_steps) = (checksum(&run, &self.learner), self.learner.steps);
+        let metadata = Metadata { format: FORMAT, sha256, optimiser_steps, learning_rate: self.learner.learning_rate };
         all.push(StoredTensor::u8(RUN, run));
         tensors::serialize(&all, serde_json::to_string(&metadata)?)
     }
@@ -189,23 +185,16 @@ impl Checkpoint {
         let (tensors, json) = tensors::deserialize(bytes)?;
         let metadata: Metadata = tensors::metadata(&json, FORMAT)?;
         let json = tensors::read_u8(&tensors, RUN)?;
-        let learner = LearnerState {
-            parameters: read_group(&tensors, "parameters")?,
-            first_moment: read_group(&tensors, "first_moment")?,
-            second_moment: read_group(&tensors, "second_moment")?,
-            steps: metadata.optimiser_steps,
-            learning_rate: metadata.learning_rate,
-        };
-        if checksum(json, &learner) != metadata.sha256 {
-            return Err(CheckpointError::Damaged);
-        }
+        let (parameters, first_moment) = (read_group(&tensors, "parameters")?, read_group(&tensors, "first_moment")?);
+        let (second_moment, steps) = (read_group(&tensors, "second_moment")?, metadata.optimiser_steps);
+        let learning_rate = metadata.learning_rate;
+        let learner = LearnerState { parameters, first_moment, second_moment, steps, learning_rate };
+        ensure!(checksum(json, &learner) == metadata.sha256, CheckpointError::Damaged);
         let run: RunState = tensors::from_json(json).map_err(CheckpointError::Run)?;
         run.config.check()?;
         let Curriculum { command_fraction, force_fraction, .. } = run.curriculum;
         for (name, found) in [("command_fraction", command_fraction), ("force_fraction", force_fraction)] {
-            if !(0.0..=1.0).contains(&found) {
-                return Err(CheckpointError::Curriculum { name, found });
-            }
+            ensure!((0.0..=1.0).contains(&found), CheckpointError::Curriculum { name, found });
         }
         Ok(Checkpoint { run, learner })
     }

@@ -242,16 +242,9 @@ impl Rollout {
     /// Returns the learner's batch. `log_std` is that of the policy that sampled; advantages and returns have shape
     /// (n).
     pub fn batch<'a>(&'a self, log_std: &'a [f32], advantages: &'a [f32], returns: &'a [f32]) -> Batch<'a> {
-        Batch {
-            observations: &self.observations,
-            critic_observations: &self.critic_observations,
-            actions: &self.actions,
-            means: &self.means,
-            log_std,
-            log_probs: &self.log_probs,
-            advantages,
-            returns,
-        }
+        let (observations, critic_observations) = (&self.observations, &self.critic_observations);
+        let (actions, means, log_probs) = (&self.actions, &self.means, &self.log_probs);
+        Batch { observations, critic_observations, actions, means, log_std, log_probs, advantages, returns }
     }
 
     /// Computes generalised advantage estimates: advantages and returns (`advantage + value`), shape (n) each.
@@ -303,14 +296,9 @@ mod tests {
             // A₁ = 0; δ₀ = 1 + 0.5 · 20 − 10 = 1
             (Some(Fault), 0.0, [1.0, 0.0, -7.0]),
         ] {
-            let rollout = Rollout {
-                steps: 3,
-                rewards: vec![1.0, 2.0, 3.0],
-                values: vec![10.0, 20.0, 30.0],
-                ends: vec![None, end, None],
-                bootstraps: vec![0.0, bootstrap, 40.0],
-                ..Rollout::default()
-            };
+            let (rewards, values, ends) = (vec![1.0, 2.0, 3.0], vec![10.0, 20.0, 30.0], vec![None, end, None]);
+            let bootstraps = vec![0.0, bootstrap, 40.0];
+            let rollout = Rollout { steps: 3, rewards, values, ends, bootstraps, ..Rollout::default() };
             let (advantages, returns) = rollout.advantages(0.5, 0.5);
             for (k, expected) in expected.into_iter().enumerate() {
                 let errors = [advantages[k] - expected, returns[k] - rollout.values[k] - expected];

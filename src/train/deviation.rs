@@ -85,20 +85,15 @@ impl ImuErrors {
 /// Draws the times at which the feet are held, up to the end of an episode.
 pub(super) fn holds(range: &HeldFeet, length_s: f64, rng: &mut impl Rng) -> Vec<Hold> {
     let mut within = |[low, high]: [f64; 2]| rng.random_range(low..=high);
+    let HeldFeet { force_n, stiffness_n_per_m, .. } = *range;
     let mut holds = Vec::new();
     for leg in 0..LEGS.len() {
         // The first time is drawn from zero to the longest gap, so that the start of an episode is no special time.
         let mut time_s = within([0.0, range.gap_s[1]]);
         while time_s < length_s {
             let until_s = time_s + within(range.duration_s);
-            holds.push(Hold {
-                leg,
-                from_s: time_s,
-                until_s,
-                height_m: within(range.height_m),
-                force_n: range.force_n,
-                stiffness_n_per_m: range.stiffness_n_per_m,
-            });
+            let height_m = within(range.height_m);
+            holds.push(Hold { leg, from_s: time_s, until_s, height_m, force_n, stiffness_n_per_m });
             time_s = until_s + within(range.gap_s);
         }
     }
@@ -158,18 +153,11 @@ mod tests {
 
     #[test]
     fn inertial_sensor_turns_gravity_and_offsets_the_rate() {
-        let state = RobotState {
-            gravity_in_base: Vector3::new(0.0, 0.0, -10.0),
-            angular_velocity_in_base: Vector3::new(1.0, 2.0, 3.0),
-            felt_force: Some([10.0, 20.0]),
-            ..RobotState::default()
-        };
-        let errors = ImuErrors {
-            gyro_bias_rad_s: [0.1, 0.2, 0.3],
-            gyro_noise_sd_rad_s: 0.0,
-            tilt_rad: [0.1, 0.0],
-            felt_force_n: [1.0, -2.0],
-        };
+        let (gravity_in_base, angular_velocity_in_base) = (Vector3::new(0.0, 0.0, -10.0), Vector3::new(1.0, 2.0, 3.0));
+        let felt_force = Some([10.0, 20.0]);
+        let state = RobotState { gravity_in_base, angular_velocity_in_base, felt_force, ..RobotState::default() };
+        let (gyro_bias_rad_s, felt_force_n) = ([0.1, 0.2, 0.3], [1.0, -2.0]);
+        let errors = ImuErrors { gyro_bias_rad_s, gyro_noise_sd_rad_s: 0.0, tilt_rad: [0.1, 0.0], felt_force_n };
         let mut rng = stream(1, Purpose::Imu, 0, 0);
         let seen = errors.seen(&state, &mut rng);
         assert_eq!(seen.felt_force, Some([11.0, 18.0]));
@@ -185,13 +173,8 @@ mod tests {
 
     #[test]
     fn every_foot_is_held_about_as_often_as_its_gaps_say() {
-        let range = HeldFeet {
-            force_n: 60.0,
-            stiffness_n_per_m: 600.0,
-            height_m: [0.02, 0.05],
-            duration_s: [0.05, 0.15],
-            gap_s: [0.5, 1.4],
-        };
+        let (height_m, duration_s, gap_s) = ([0.02, 0.05], [0.05, 0.15], [0.5, 1.4]);
+        let range = HeldFeet { force_n: 60.0, stiffness_n_per_m: 600.0, height_m, duration_s, gap_s };
         let mut counts = [0; 4];
         for k in 0..500 {
             for hold in holds(&range, 4.0, &mut stream(1, Purpose::Episode, 0, k)) {

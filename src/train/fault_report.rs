@@ -12,11 +12,8 @@ pub(super) fn minibatch_csv(fault: &UpdateFault, rollout: &Rollout, batch: &Batc
     let UpdateFault::NotFinite { samples, .. } = fault else { return String::new() };
     let length = batch.observations.len() / batch.returns.len().max(1);
     let columns = |name: &str, count: usize| (0..count).map(|k| format!(",{name}_{k}")).collect::<String>();
-    let header = format!(
-        "sample,reward,value,advantage,return,log_prob{}{}\n",
-        columns("action", JOINTS),
-        columns("observation", length)
-    );
+    let (actions, seen) = (columns("action", JOINTS), columns("observation", length));
+    let header = format!("sample,reward,value,advantage,return,log_prob{actions}{seen}\n");
     let mut csv = if ranks.index() == 0 { header } else { String::new() };
     for row in samples.iter().map(|sample| *sample as usize) {
         // A mirror image has the reward and the value of its sample.

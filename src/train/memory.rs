@@ -79,11 +79,8 @@ impl MemoryEstimate {
     pub fn for_ranks(self, here: usize, ranks: usize) -> Self {
         let (here, ranks) = (here as u64, ranks as u64);
         let share = |whole: u64| whole.div_ceil(ranks).saturating_mul(here);
-        MemoryEstimate {
-            environments: share(self.environments),
-            samples: share(self.samples),
-            networks: self.networks.saturating_mul(here),
-        }
+        let networks = self.networks.saturating_mul(here);
+        MemoryEstimate { environments: share(self.environments), samples: share(self.samples), networks }
     }
 
     /// Returns the total memory \[bytes\].
@@ -99,9 +96,7 @@ impl MemoryEstimate {
     pub fn check(self) -> Result<Option<MemoryError>, MemoryError> {
         let Some(FreeMemory { surely, at_most }) = FreeMemory::now() else { return Ok(None) };
         let total = self.total();
-        if total > at_most {
-            return Err(MemoryError { memory: self, left: at_most });
-        }
+        ensure!(total <= at_most, MemoryError { memory: self, left: at_most });
         Ok((total > surely).then_some(MemoryError { memory: self, left: surely }))
     }
 }

@@ -122,10 +122,7 @@ impl EpisodeMeans {
             falls: count(EpisodeEnd::Fall),
             faults: count(EpisodeEnd::Fault),
             fall_rate: fraction(count(EpisodeEnd::Fall), episodes.len()),
-            pushed_fall_rate: fraction(
-                pushed().filter(|episode| episode.end == EpisodeEnd::Fall).count(),
-                pushed().count(),
-            ),
+            pushed_fall_rate: fraction(pushed().filter(|it| it.end == EpisodeEnd::Fall).count(), pushed().count()),
             walks: walks().count(),
             push_fraction: fraction(pushed().count(), walks().count()),
             episode_reward: mean(episodes.iter().map(|episode| episode.reward)),

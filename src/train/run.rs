@@ -118,12 +118,8 @@ impl RunFolder {
     /// # Errors
     /// The path exists already, or a file cannot be written.
     pub fn create(path: &Path, trainer: &Trainer, checkpoint: &Checkpoint) -> Result<Self, RunError> {
-        if is_run(path) {
-            return Err(RunError::Exists(path.to_owned()));
-        }
-        if path.symlink_metadata().is_ok() {
-            return Err(RunError::Taken(path.to_owned()));
-        }
+        ensure!(!is_run(path), RunError::Exists(path.to_owned()));
+        ensure!(path.symlink_metadata().is_err(), RunError::Taken(path.to_owned()));
         let (staged, lock) = stage(path)?;
         let about = serde_json::json!({
             "config_name": trainer.run().config_name,
@@ -158,9 +154,7 @@ impl RunFolder {
     /// The path is not a run, its files belong to different runs, no checkpoint can be read, or another process trains
     /// there.
     pub fn resume(path: &Path) -> Result<(Self, Checkpoint, Vec<String>), RunError> {
-        if !is_run(path) {
-            return Err(RunError::NotARun(path.to_owned()));
-        }
+        ensure!(is_run(path), RunError::NotARun(path.to_owned()));
         let lock = lock(path)?;
         files::clear_temporaries(path).map_err(at(path))?;
         let (mut checkpoint, passed_over) = Checkpoint::load(path)?;
@@ -186,12 +180,9 @@ impl RunFolder {
     fn open(path: &Path, lock: File) -> Result<Self, RunError> {
         let metrics_path = path.join(METRICS);
         let metrics = OpenOptions::new().create(true).append(true).open(&metrics_path);
-        Ok(RunFolder {
-            _lock: lock,
-            path: path.to_owned(),
-            metrics: metrics.map_err(at(&metrics_path))?,
-            events: EventWriter::create(path).map_err(at(path))?,
-        })
+        let metrics = metrics.map_err(at(&metrics_path))?;
+        let events = EventWriter::create(path).map_err(at(path))?;
+        Ok(RunFolder { _lock: lock, path: path.to_owned(), metrics, events })
     }
 
     /// Returns the path of the folder.
@@ -453,11 +444,9 @@ fn metrics_up_to(path: &Path, checkpoint: &Checkpoint) -> Result<(Vec<u8>, Optio
         if let (true, Some(time)) = (line.iteration == run.iteration, line.time)
             && time.elapsed_s != run.elapsed_s
         {
-            let [ours, theirs] = [run.elapsed_s, time.elapsed_s];
-            let problem = format!(
-                "after iteration {} the checkpoint has trained for {ours} s, {METRICS} for {theirs} s",
-                run.iteration
-            );
+            let (at, ours, theirs) = (run.iteration, run.elapsed_s, time.elapsed_s);
+            let problem =
+                format!("after iteration {at} the checkpoint has trained for {ours} s, {METRICS} for {theirs} s");
             return Err(RunError::Mixed { path: path.to_owned(), problem });
         }
         if line.iteration > next {
@@ -511,10 +500,8 @@ mod tests {
             let (folder, checkpoint) = folder(&found);
             let (text, note) = metrics_up_to(folder.path(), &checkpoint).unwrap();
             assert_eq!(String::from_utf8(text).unwrap(), lines(kept));
-            assert!(
-                note.as_deref().unwrap_or("").contains(lost.unwrap_or("")) && note.is_some() == lost.is_some(),
-                "{note:?}"
-            );
+            assert_eq!(note.is_some(), lost.is_some(), "{note:?}");
+            assert!(note.as_deref().unwrap_or("").contains(lost.unwrap_or("")), "{note:?}");
         }
     }
 }

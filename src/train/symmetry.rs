@@ -185,18 +185,12 @@ mod tests {
             ..RobotState::default()
         };
         let command = Command::velocity(0.9, side * 0.4, side * -0.3);
-        let (mut observer, layout, zero) = (Observer::new(), layout(), [0.0; 12]);
+        let (mut observer, layout) = (Observer::new(), layout());
+        let (zero, privileged) = (&[0.0; 12], Privileged::default());
         for age in [0.01, 0.0] {
-            let (state, last_target) = (&state(age), &angles);
-            let now = ObservationInput {
-                state,
-                command: &command,
-                last_action: &zero,
-                last_target,
-                nominal: &zero,
-                time_s: 0.0,
-                privileged: Privileged::default(),
-            };
+            let (state, command, last_target) = (&state(age), &command, &angles);
+            let (last_action, nominal) = (zero, zero);
+            let now = ObservationInput { state, command, last_action, last_target, nominal, time_s: 0.0, privileged };
             observer.measure(&layout, &now);
         }
         let mut seen = vec![0.0; LENGTH];
@@ -223,10 +217,8 @@ mod tests {
         let critic = config.critic_layout().unwrap();
         let mirror = Mirror::new(&layout(), critic.as_ref(), &robot, &pose).unwrap();
         let with = |seen: Vec<f32>, added: [f32; 7]| [seen, added.to_vec()].concat();
-        let (left, right) = (
-            with(leaning(1.0), [10.0, 5.0, 1.0, 0.1, 0.2, 0.3, 0.4]),
-            with(leaning(-1.0), [10.0, -5.0, 1.0, 0.2, 0.1, 0.4, 0.3]),
-        );
+        let left = with(leaning(1.0), [10.0, 5.0, 1.0, 0.1, 0.2, 0.3, 0.4]);
+        let right = with(leaning(-1.0), [10.0, -5.0, 1.0, 0.2, 0.1, 0.4, 0.3]);
         assert_eq!(image(&mirror.critic, &left), right);
     }
 
@@ -242,16 +234,11 @@ mod tests {
         let seen = [leaning(1.0), leaning(-1.0), leaning(1.0)].concat();
         let mut evaluated = vec![0.0; 3 * 12];
         PackedMlp::new(&network.policy).forward(3, &seen, &mut evaluated, &mut Scratch::default());
-        let batch = Batch {
-            observations: &seen,
-            critic_observations: &[],
-            actions: &[[0.5; 12]; 3].concat(),
-            means: &evaluated,
-            log_std: &network.log_std,
-            log_probs: &[1.0, 2.0, 3.0],
-            advantages: &[4.0, 5.0, 6.0],
-            returns: &[7.0, 8.0, 9.0],
-        };
+        let (observations, critic_observations, actions) = (&seen, &[], &[[0.5; 12]; 3].concat());
+        let (means, log_std, log_probs) = (&evaluated, &network.log_std, &[1.0, 2.0, 3.0]);
+        let (advantages, returns) = (&[4.0, 5.0, 6.0], &[7.0, 8.0, 9.0]);
+        let batch =
+            Batch { observations, critic_observations, actions, means, log_std, log_probs, advantages, returns };
         let images = |threads| {
             let mut doubled = Samples::default();
             mirror().double(&batch, &network.policy, threads, &mut doubled);

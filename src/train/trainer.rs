@@ -181,12 +181,8 @@ impl Trainer {
     ///
     /// # Errors
     /// The checkpoint does not fit its own configuration or the number of ranks, or the model cannot be simulated.
-    pub fn resume_with_ranks(
-        ranks: Arc<dyn Ranks>,
-        checkpoint: Checkpoint,
-        threads: usize,
-    ) -> Result<Self, TrainError> {
-        let Checkpoint { mut run, learner: state } = checkpoint;
+    pub fn resume_with_ranks(ranks: Arc<dyn Ranks>, saved: Checkpoint, threads: usize) -> Result<Self, TrainError> {
+        let Checkpoint { mut run, learner: state } = saved;
         let (found, expected_environments) = (run.environments.len(), run.config.ppo.environments);
         if found != expected_environments {
             return Err(TrainError::Checkpoint(format!("{found} environments instead of {expected_environments}")));
@@ -240,14 +236,9 @@ impl Trainer {
         let started = Instant::now();
         let network = self.learner.parameters();
         let ppo = &self.run.config.ppo;
-        let collection = Collection {
-            network: &network,
-            seed: self.run.seed,
-            iteration: self.run.iteration,
-            steps: ppo.steps(),
-            curriculum: self.run.curriculum,
-            threads: self.threads,
-        };
+        let (seed, iteration, curriculum) = (self.run.seed, self.run.iteration, self.run.curriculum);
+        let threads = self.threads;
+        let collection = Collection { network: &network, seed, iteration, steps: ppo.steps(), curriculum, threads };
         let (rollout, episodes) = match collection.collect(&mut self.environments) {
             Ok(mut rollout) => {
                 let episodes = mem::take(&mut rollout.episodes);
@@ -288,12 +279,8 @@ impl Trainer {
                     1 => circumstances.remove(0),
                     _ => serde_json::Value::Array(circumstances),
                 };
-                return Err(TrainError::Learner {
-                    iteration: self.run.iteration,
-                    minibatch,
-                    circumstances: format!("{circumstances:#}\n"),
-                    fault: Box::new(fault),
-                });
+                let (iteration, circumstances) = (self.run.iteration, format!("{circumstances:#}\n"));
+                return Err(TrainError::Learner { iteration, minibatch, circumstances, fault: Box::new(fault) });
             }
         };
 
@@ -359,11 +346,6 @@ impl Trainer {
         orders
     }
 
-    /// Returns the physics faults of the last iteration, by environment and then time.
-    pub fn faults(&self) -> &[EpisodeFault] {
-        &self.faults
-    }
-
     /// Returns the state to resume from, complete on every rank.
     ///
     /// # Errors
@@ -376,26 +358,21 @@ impl Trainer {
 
     /// Returns the present policy, for deployment.
     pub fn policy(&self) -> Policy {
-        let provenance = Provenance {
-            config_name: self.run.config_name.clone(),
-            config: self.run.config.clone(),
-            seed: self.run.seed,
-            samples: self.run.samples,
-            git_revision: provenance::git_revision().to_owned(),
-            mujoco_version: provenance::mujoco_version().to_owned(),
-        };
+        let (config_name, config, samples) = (self.run.config_name.clone(), self.run.config.clone(), self.run.samples);
+        let git_revision = provenance::git_revision().to_owned();
+        let mujoco_version = provenance::mujoco_version().to_owned();
+        let provenance = Provenance { config_name, config, seed: self.run.seed, samples, git_revision, mujoco_version };
         let Shared { robot, layout, .. } = &self.shared;
         Policy::new(&self.learner.parameters(), robot, Layout::clone(layout), provenance)
     }
 
-    /// Returns the ranks that train the run.
-    pub fn ranks(&self) -> &dyn Ranks {
-        &*self.ranks
-    }
-
-    /// Returns configuration and progress, without the environments.
-    pub fn run(&self) -> &RunState {
-        &self.run
+    methods! {
+        /// Returns the physics faults of the last iteration, by environment and then time.
+        fn faults(&self) -> &[EpisodeFault] = &self.faults;
+        /// Returns the ranks that train the run.
+        fn ranks(&self) -> &dyn Ranks = &*self.ranks;
+        /// Returns configuration and progress, without the environments.
+        fn run(&self) -> &RunState = &self.run;
     }
 }
 
@@ -423,9 +400,7 @@ fn mirror(config: &Config, shared: &Shared) -> Result<Option<Mirror>, TrainError
 /// Checks that the shards can be divided equally among the ranks.
 fn check_ranks(config: &Config, ranks: &dyn Ranks) -> Result<(), TrainError> {
     let (shards, count) = (config.ppo.shards, ranks.count());
-    if !count.is_power_of_two() {
-        return Err(TrainError::Count(count));
-    }
+    ensure!(count.is_power_of_two(), TrainError::Count(count));
     if shards.is_multiple_of(count) {
         return Ok(());
     }

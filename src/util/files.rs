@@ -161,9 +161,7 @@ impl Target {
         if path == Path::new("-") {
             return Ok(Target::Output);
         }
-        if path.file_name().is_none() {
-            return Err(io::Error::new(io::ErrorKind::InvalidInput, "it names no file"));
-        }
+        ensure!(path.file_name().is_some(), io::Error::new(io::ErrorKind::InvalidInput, "it names no file"));
         let mut path = path.to_owned();
         for _ in 0..MAX_LINKS {
             let kind = match fs::symlink_metadata(&path) {
@@ -171,9 +169,7 @@ impl Target {
                 Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Target::File(path)),
                 Err(error) => return Err(error),
             };
-            if kind.is_dir() {
-                return Err(io::Error::new(io::ErrorKind::IsADirectory, "it is a folder, expected a file"));
-            }
+            ensure!(!kind.is_dir(), io::Error::new(io::ErrorKind::IsADirectory, "it is a folder, expected a file"));
             if !kind.is_symlink() {
                 return Ok(if kind.is_file() { Target::File(path) } else { Target::Stream(path) });
             }

@@ -137,10 +137,7 @@ mod tests {
             ("proc/self/cgroup", "0::/\n"),
             ("sys/fs/cgroup/memory.max", "100000\n"),
             ("sys/fs/cgroup/memory.current", "100000\n"),
-            (
-                "sys/fs/cgroup/memory.stat",
-                "file 60000\ninactive_file 40000\nactive_file 20000\nslab_reclaimable 5000\n",
-            ),
+            ("sys/fs/cgroup/memory.stat", "file 60000\ninactive_file 40000\nactive_file 20000\nslab_reclaimable 5000"),
         ];
         assert_eq!(free(&container), FreeMemory { surely: 40000, at_most: 65000 + 1024 });
     }

@@ -94,9 +94,7 @@ pub fn metadata<T: DeserializeOwned>(json: &str, format: u32) -> Result<T, Tenso
         format: u32,
     }
     let found: Format = serde_json::from_str(json)?;
-    if found.format != format {
-        return Err(TensorError::Format { found: found.format, expected: format });
-    }
+    ensure!(found.format == format, TensorError::Format { found: found.format, expected: format });
     Ok(from_json(json.as_bytes())?)
 }
 

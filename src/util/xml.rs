@@ -127,17 +127,11 @@ pub fn parse(text: &str) -> Result<Element, XmlError> {
 /// Converts an element; `ends` are the places of all line ends in the text.
 fn convert(node: Node<'_, '_>, depth: usize, ends: &[usize]) -> Result<Element, XmlError> {
     let line = u32::try_from(1 + ends.partition_point(|end| *end < node.range().start)).unwrap_or(u32::MAX);
-    if depth > MAX_DEPTH {
-        return Err(XmlError::Deep { line });
-    }
+    ensure!(depth <= MAX_DEPTH, XmlError::Deep { line });
     let attributes = node.attributes().map(|a| (a.name().to_owned(), a.value().to_owned())).collect();
     let children = node.children().filter(Node::is_element).map(|child| convert(child, depth + 1, ends));
-    Ok(Element {
-        place: Place { file: 0, line },
-        name: node.tag_name().name().to_owned(),
-        attributes,
-        children: children.collect::<Result<_, _>>()?,
-    })
+    let children = children.collect::<Result<_, _>>()?;
+    Ok(Element { place: Place { file: 0, line }, name: node.tag_name().name().to_owned(), attributes, children })
 }
 
 /// Returns the line of an element with too many attributes: with more of them between one `<` and the next than

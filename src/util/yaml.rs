@@ -332,17 +332,11 @@ mod tests {
     fn errors_name_the_text_the_line_and_the_key() {
         let whole = "name: x # count: 1\ninner:\n  count: 1\n  sizes: [1.0]\n";
         let number = "inner.count: invalid type: floating point `2e7`, expected a whole number";
-        assert_eq!(
-            complaint(&[whole, "inner:\n\n  count: 2e7\n"]),
-            format!("b, line 3: {}", number.replace("2e7", "20000000.0"))
-        );
-        assert!(
-            complaint(&[whole, "inner: {sizes: [1.0, no]}"]).starts_with("b, line 1: inner.sizes[1]: invalid type")
-        );
-        assert!(
-            complaint(&[&whole.replace("count: 1\n  s", "count: -1\n  s"), "name: y"])
-                .starts_with("a, line 3: inner.count: ")
-        );
+        let words = number.replace("2e7", "20000000.0");
+        assert_eq!(complaint(&[whole, "inner:\n\n  count: 2e7\n"]), format!("b, line 3: {words}"));
+        assert!(complaint(&[whole, "inner: {sizes: [1.0,no]}"]).starts_with("b, line 1: inner.sizes[1]: invalid type"));
+        let negative = whole.replace("count: 1\n  s", "count: -1\n  s");
+        assert!(complaint(&[&negative, "name: y"]).starts_with("a, line 3: inner.count: "));
         assert!(complaint(&[whole, "inner: {counts: 1}"]).contains("unknown field `counts`"));
         assert!(complaint(&["inner: {count: 1, sizes: []}"]).contains("missing field `name`"));
     }

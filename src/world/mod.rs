@@ -242,18 +242,9 @@ impl World {
         command: &'a Command,
         (summary, landings, forces): (&'a StepSummary, &'a Landings, &'a StepForces),
     ) -> RewardInput<'a> {
-        RewardInput {
-            state: &self.state,
-            before,
-            targets: &self.targets,
-            command,
-            summary,
-            landings,
-            forces,
-            period_s: self.sim.policy_period_s(),
-            time_s: self.time_s(),
-            config: &self.reward,
-        }
+        let (state, targets, period_s) = (&self.state, &self.targets, self.sim.policy_period_s());
+        let (time_s, config) = (self.time_s(), &self.reward);
+        RewardInput { state, before, targets, command, summary, landings, forces, period_s, time_s, config }
     }
 
     /// Collects the effects of the disturbances in the step.
@@ -296,35 +287,15 @@ impl World {
         StepTime { time_s: self.time_s(), period_s: self.sim.policy_period_s() }
     }
 
-    /// Returns the time at which the next step begins \[s\].
-    pub fn time_s(&self) -> f64 {
-        self.steps as f64 * self.sim.policy_period_s()
-    }
-
-    /// Returns the number of policy steps since the beginning.
-    pub fn steps(&self) -> usize {
-        self.steps
-    }
-
     /// Sets the clock back to zero.
     pub fn rewind_clock(&mut self) {
         self.steps = 0;
         self.sim.data_mut().set_time_s(0.0);
     }
 
-    /// Returns the state after the last step. The felt force is the true one unless [`World::set_felt_force`] replaced it.
-    pub fn state(&self) -> &RobotState {
-        &self.state
-    }
-
     /// Replaces the felt force on the trunk, forward and left in the heading frame \[N\].
     pub fn set_felt_force(&mut self, force: Option<[f64; 2]>) {
         self.state.felt_force = force;
-    }
-
-    /// Returns the joint targets of the last step \[rad\]; those of the beginning before the first.
-    pub fn last_target(&self) -> &Joints {
-        &self.targets[0]
     }
 
     /// Returns what disturbs the trunk at the beginning of the coming step: the force of all pulls, world frame \[N\], and the
@@ -344,31 +315,27 @@ impl World {
         (pull, push)
     }
 
-    /// Returns the targets and sharpnesses of the reward's terms, and their weights.
-    pub fn reward(&self) -> &Reward {
-        &self.reward
-    }
-
-    /// Returns the simulation.
-    pub fn sim(&self) -> &Sim {
-        &self.sim
-    }
-
-    /// Returns the simulation, to be changed.
-    pub fn sim_mut(&mut self) -> &mut Sim {
-        &mut self.sim
+    methods! {
+        /// Returns the time at which the next step begins \[s\].
+        fn time_s(&self) -> f64 = self.steps as f64 * self.sim.policy_period_s();
+        /// Returns the number of policy steps since the beginning.
+        fn steps(&self) -> usize = self.steps;
+        /// Returns the state after the last step. The felt force is the true one unless [`World::set_felt_force`] replaced it.
+        fn state(&self) -> &RobotState = &self.state;
+        /// Returns the joint targets of the last step \[rad\]; those of the beginning before the first.
+        fn last_target(&self) -> &Joints = &self.targets[0];
+        /// Returns the targets and sharpnesses of the reward's terms, and their weights.
+        fn reward(&self) -> &Reward = &self.reward;
+        /// Returns the simulation.
+        fn sim(&self) -> &Sim = &self.sim;
+        /// Returns the simulation, to be changed.
+        fn sim_mut(&mut self) -> &mut Sim = &mut self.sim;
     }
 
     /// Returns the state from which the world continues with the same bits.
     pub fn save(&self) -> WorldState {
-        WorldState {
-            sim: self.sim.save(),
-            steps: self.steps,
-            disturbances: self.disturbances.clone(),
-            swings: self.swings,
-            targets: self.targets,
-            reference: self.reference,
-        }
+        let World { steps, swings, targets, reference, .. } = *self;
+        WorldState { sim: self.sim.save(), steps, disturbances: self.disturbances.clone(), swings, targets, reference }
     }
 
     /// Continues from the saved state of an undisturbed world, with the disturbances of this one to come.

@@ -35,11 +35,7 @@ fn true_force_is_the_sum_of_what_acts() {
         let x = if (6..30).contains(&index) { 12.0 * part(0.2) } else { 0.0 };
         let y = if (12..30).contains(&index) { 4.0 } else { 0.0 } - if index >= 24 { 3.0 } else { 0.0 };
         // The heading of the hand's force has hardly changed, and the ramp ends within a policy step.
-        assert!(
-            (forces.trunk - Vector3::new(x, y, 0.0)).norm() < 0.2,
-            "step {index}: {:?}, expected {x}, {y}",
-            forces.trunk
-        );
+        assert!((forces.trunk - Vector3::new(x, y, 0.0)).norm() < 0.2, "step {index}: {:?}", forces.trunk);
         assert_eq!(mark.is_some(), index >= 6, "step {index}");
         texts.extend(events.into_iter().map(|event| event.text));
     }

@@ -201,12 +201,8 @@ fn errors_name_file_line_and_key_once() {
 
     std::fs::create_dir(folder.path().join("empty")).unwrap();
     let start = ["--config", "small.yaml", "--out"];
-    let taken = refused(
-        "train",
-        folder.path(),
-        &[&start[..], &["empty"]].concat(),
-        "empty exists already and is not a training run",
-    );
+    let words = "empty exists already and is not a training run";
+    let taken = refused("train", folder.path(), &[&start[..], &["empty"]].concat(), words);
     assert!(!taken.contains("--resume"), "{taken}");
     let none = refused("train", folder.path(), &["--resume", "empty"], "empty is not a run's folder");
     assert!(!none.contains("--out"), "{none}");

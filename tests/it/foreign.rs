@@ -39,19 +39,11 @@ const KEY: &str =
     "<keyframe><key name='home' qpos='0 0 1 1 0 0 0  0 .6 -1.2  0 .6 -1.2  0 .6 -1.2  0 .6 -1.2'/></keyframe>";
 
 pub fn foreign() -> Foreign {
-    Foreign {
-        legs: &LEGS,
-        compiler: "angle='radian'",
-        sections: "",
-        trunk: "name='base'",
-        parts: "",
-        joint: "",
-        ranges: ["range='-0.7 0.7'", "range='-1 3'", "range='-2.6 -0.5'"],
-        foot: "<geom name='{}_foot' size='0.02' pos='0 0 -0.22'/>",
-        calf: "pos='0 0 -0.22'",
-        actuator: "<motor joint='{}' ctrlrange='-25 25'/>",
-        after: KEY,
-    }
+    let (legs, compiler, trunk) = (&LEGS, "angle='radian'", "name='base'");
+    let ranges = ["range='-0.7 0.7'", "range='-1 3'", "range='-2.6 -0.5'"];
+    let (foot, calf) = ("<geom name='{}_foot' size='0.02' pos='0 0 -0.22'/>", "pos='0 0 -0.22'");
+    let actuator = "<motor joint='{}' ctrlrange='-25 25'/>";
+    Foreign { legs, compiler, sections: "", trunk, parts: "", joint: "", ranges, foot, calf, actuator, after: KEY }
 }
 
 impl Foreign {

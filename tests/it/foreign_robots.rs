@@ -94,12 +94,8 @@ fn frames_are_poses_of_what_they_hold() {
     // A quarter turn about y takes x to −z.
     framed("<frame euler='0 1.5707963267948966 0'><geom size='0.02' pos='0.22 0 0'/></frame>", "", "angle='radian'");
     let ranges = ["range='-40.107 40.107'", "range='-57.2958 171.887'", "range='-148.969 -28.6479'"];
-    let degrees = Foreign {
-        compiler: "",
-        ranges,
-        foot: "<frame euler='0 90 0'><frame pos='0.1 0 0'><geom size='0.02' pos='0.12 0 0'/></frame></frame>",
-        ..foreign()
-    };
+    let foot = "<frame euler='0 90 0'><frame pos='0.1 0 0'><geom size='0.02' pos='0.12 0 0'/></frame></frame>";
+    let degrees = Foreign { compiler: "", ranges, foot, ..foreign() };
     assert!((height(&degrees.robot()) - HEIGHT).abs() < 1e-6);
     // The class of a frame, and numbers that only the class has.
     let classes =
@@ -131,9 +127,8 @@ fn legs_may_be_fixed_to_the_trunk_by_bodies_of_their_own() {
     let robot = read(&text.replacen("</body></body></body>", "</body></body></body></body>", 1)).unwrap();
     assert!((height(&robot) - HEIGHT).abs() < 1e-6 && (robot.mass_kg - 13.7).abs() < 1e-9);
     let plain = foreign().robot();
-    assert!(
-        (robot.legs[1].foot_position([0.0, 0.6, -1.2]) - plain.legs[1].foot_position([0.0, 0.6, -1.2])).norm() < 1e-12
-    );
+    let foot = |robot: &Robot| robot.legs[1].foot_position([0.0, 0.6, -1.2]);
+    assert!((foot(&robot) - foot(&plain)).norm() < 1e-12);
 }
 
 #[test]
@@ -150,10 +145,7 @@ fn words_that_cannot_be_translated_are_refused_with_line_and_version() {
             "line 3: builtin of <mesh 'm'>",
         ),
         (Foreign { parts: "<frame scale='2'/>", ..foreign() }, "scale of <frame> needs MuJoCo 3.16"),
-        (
-            Foreign { actuator: "<motor joint='{}' armature='0.1' ctrlrange='-1 1'/>", ..foreign() },
-            "armature of <motor>",
-        ),
+        (Foreign { actuator: "<motor joint='{}' armature='1' ctrlrange='-1 1'/>", ..foreign() }, "armature of <motor>"),
         (
             Foreign { joint: "rnage='1 2'", ..foreign() },
             "line 9: the attribute 'rnage' of <joint 'FL_hip_joint'> is unknown to MuJoCo 2.2.2",
@@ -193,9 +185,7 @@ fn joints_without_limits_stay_without() {
     let free = Foreign { ranges: [""; 3], ..foreign() }.robot();
     assert_eq!(free.joint_limits, [[f64::NEG_INFINITY, f64::INFINITY]; JOINTS]);
     assert!((height(&free) - HEIGHT).abs() < 1e-6);
-    assert!(
-        free.description().contains("none") && free.report.iter().any(|line| line.starts_with("joint limits: none"))
-    );
+    assert!(free.description().contains("none") && free.report.iter().any(|it| it.starts_with("joint limits: none")));
     let off = Foreign { joint: "limited='false'", ..foreign() }.robot();
     assert_eq!(off.joint_limits, free.joint_limits);
     let by_setting = Foreign { compiler: "angle='radian' autolimits='false'", joint: "limited='true'", ..foreign() };
@@ -275,11 +265,8 @@ fn feet_of_any_shape_stand_on_their_lowest_point() {
     for (foot, expected) in feet() {
         let robot = Foreign { foot, sections: TIP, ..foreign() };
         let found = robot.robot();
-        assert!(
-            (height(&found) - expected).abs() < 1e-6 && (found.stand[2] - expected).abs() < 1e-6,
-            "{foot}: {} {expected}",
-            height(&found)
-        );
+        let own = height(&found);
+        assert!((own - expected).abs() < 1e-6 && (found.stand[2] - expected).abs() < 1e-6, "{foot}: {own} {expected}");
         let named = described(&robot, "feet: {FR: FR_foot, FL: FL_foot, RR: RR_foot, RL: RL_foot}").unwrap();
         assert_eq!(height(&named), height(&found), "{foot}");
 
@@ -304,13 +291,10 @@ fn feet_of_any_shape_stand_on_their_lowest_point() {
 #[test]
 fn the_foot_is_the_lowest_in_the_world_whatever_the_calfs_axes() {
     // The calf's body is turned about x, so that its foot is up in its frame, and a knee cap is down.
-    let turned = Foreign {
-        calf: "pos='0 0 -0.22' quat='0 1 0 0'",
-        ranges: ["range='-0.7 0.7'", "range='-1 3'", "range='0.5 2.6'"],
-        foot: "<geom size='0.02' pos='0 0 0.22'/><geom size='0.03' pos='0 0 -0.01'/>",
-        after: "<keyframe><key qpos='0 0 1 1 0 0 0  0 .6 1.2  0 .6 1.2  0 .6 1.2  0 .6 1.2'/></keyframe>",
-        ..foreign()
-    };
+    let ranges = ["range='-0.7 0.7'", "range='-1 3'", "range='0.5 2.6'"];
+    let foot = "<geom size='0.02' pos='0 0 0.22'/><geom size='0.03' pos='0 0 -0.01'/>";
+    let after = "<keyframe><key qpos='0 0 1 1 0 0 0  0 .6 1.2  0 .6 1.2  0 .6 1.2  0 .6 1.2'/></keyframe>";
+    let turned = Foreign { calf: "pos='0 0 -0.22' quat='0 1 0 0'", ranges, foot, after, ..foreign() };
     assert!((height(&turned.robot()) - HEIGHT).abs() < 1e-6);
 }
 
@@ -371,12 +355,8 @@ fn names_and_settings_of_a_robot_stay_its_own() {
     let scene = Scene { obstacles: obstacles.into(), ground, ..Scene::flat(robot, 1.0 / 240.0) };
     let model = scene.compile().unwrap();
     let mass = |name: &str| model.body_mass()[model.id(Object::Body, name).unwrap()];
-    assert!(
-        (mass("ball_0") - 0.02).abs() < 1e-12 && (mass("box") - 0.0335).abs() < 1e-4,
-        "{} {}",
-        mass("ball_0"),
-        mass("box")
-    );
+    let [ball, carton] = ["ball_0", "box"].map(&mass);
+    assert!((ball - 0.02).abs() < 1e-12 && (carton - 0.0335).abs() < 1e-4, "{ball} {carton}");
     assert_eq!(mass("FR_calf"), 0.35);
     assert!(model.id(Object::Body, "robot/trunk").is_ok() && model.id(Object::Body, "robot/ground").is_ok());
     let total = Foreign { compiler: "angle='radian' settotalmass='20' coordinate='local'", ..foreign() }.robot();
@@ -386,22 +366,15 @@ fn names_and_settings_of_a_robot_stay_its_own() {
 #[test]
 fn degrees_are_radians_in_other_words() {
     let ranges = ["range='-40 40'", "range='-50 170'", "range='-150 -30'"];
-    let degrees = Foreign {
-        compiler: "",
-        ranges,
-        parts: "<body pos='1 0 0'><geom size='.1' axisangle='0 0 1 90'/></body>",
-        ..foreign()
-    };
+    let parts = "<body pos='1 0 0'><geom size='.1' axisangle='0 0 1 90'/></body>";
+    let degrees = Foreign { compiler: "", ranges, parts, ..foreign() };
     let robot = degrees.robot();
     let expected = [[-40.0_f64, 40.0], [-50.0, 170.0], [-150.0, -30.0]].map(|range| range.map(f64::to_radians));
     for (found, expected) in robot.joint_limits.iter().zip(expected) {
         assert!((0..2).all(|end| (found[end] - expected[end]).abs() < 1e-15), "{found:?} {expected:?}");
     }
-    assert!(
-        robot.mjcf().contains("angle=\"radian\"") && robot.mjcf().contains("1.5707963267948966"),
-        "{}",
-        robot.mjcf()
-    );
+    let mjcf = robot.mjcf();
+    assert!(mjcf.contains("angle=\"radian\"") && mjcf.contains("1.5707963267948966"), "{mjcf}");
 }
 
 #[test]
@@ -522,12 +495,9 @@ fn a_urdf_is_the_robot_that_it_describes() {
     );
     let apart = of_urdf(&apart);
     assert!((apart.mass_kg - 13.7).abs() < 1e-9, "{}", apart.mass_kg);
-    assert!(
-        // MuJoCo 3 does not say which link it is.
-        apart.report.iter().any(|line| line.contains("made equal") && (VERSION >= 300 || line.contains("'camera'"))),
-        "{:?}",
-        apart.report
-    );
+    // MuJoCo 3 does not say which link it is.
+    let is_told = |line: &String| line.contains("made equal") && (VERSION >= 300 || line.contains("'camera'"));
+    assert!(apart.report.iter().any(is_told), "{:?}", apart.report);
     let model = Scene::flat(apart, 1.0 / 240.0).compile().unwrap();
     let trunk = model.id(Object::Body, "trunk").unwrap();
     // The camera, 0.1 m up, is a part of the trunk: 0.1 · 0.1 / 8.1.
@@ -634,11 +604,8 @@ fn joints_beside_those_of_the_legs_are_welded() {
     assert!(error.contains("joints beside those of four legs: arm_1, arm_2; name them under weld"), "{error}");
     let robot = described(&armed, "weld: [arm_1, arm_2]").unwrap();
     assert!((robot.mass_kg - 14.2).abs() < 1e-9 && (height(&robot) - HEIGHT).abs() < 1e-6, "{}", robot.mass_kg);
-    assert!(
-        robot.report.contains(&"welded: arm_1, arm_2, at the angles of its keyframe".to_owned()),
-        "{:?}",
-        robot.report
-    );
+    let report = &robot.report;
+    assert!(report.contains(&"welded: arm_1, arm_2, at the angles of its keyframe".to_owned()), "{report:?}");
     let mut sim = supple::mujoco::Data::new(Scene::flat(Arc::clone(&robot), 1.0 / 240.0).compile().unwrap()).unwrap();
     sim.step1().unwrap();
     let place = |name: &str| {
@@ -729,11 +696,8 @@ fn programs_take_a_urdf_and_robots_without_limits() {
         assert!(text.contains(words) && text.contains("13.600 kg"), "{text}");
     }
     // A policy's file states the ranges of its robot's joints, infinite ones too.
-    success(run(
-        "train",
-        folder.path(),
-        &["--config", "small.yaml", "--robot", "free.xml", "--samples", "256", "--out", "r"],
-    ));
+    let arguments = ["--config", "small.yaml", "--robot", "free.xml", "--samples", "256", "--out", "r"];
+    success(run("train", folder.path(), &arguments));
     let shown = success(run("policy", folder.path(), &["show", "r"]));
     assert!(String::from_utf8_lossy(&shown.stdout).contains("none"));
 }

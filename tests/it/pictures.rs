@@ -31,13 +31,8 @@ fn bodies_are_drawn_at_their_poses_and_marks_in_their_colours() {
     let Some(mut renderer) = renderer(body, [63, 48]) else { return };
     // The camera looks along y: x is to the right, z up.
     let ball = [0.2, 0.0, 0.2, 1.0, 0.0, 0.0, 0.0];
-    let rod = Mark {
-        shape: MarkShape::Rod,
-        from: [-0.3, 0.0, -0.2],
-        to: [-0.1, 0.0, -0.2],
-        radius_m: 0.05,
-        rgba: [0.0, 0.0, 1.0, 1.0],
-    };
+    let (from, to) = ([-0.3, 0.0, -0.2], [-0.1, 0.0, -0.2]);
+    let rod = Mark { shape: MarkShape::Rod, from, to, radius_m: 0.05, rgba: [0.0, 0.0, 1.0, 1.0] };
     let picture = renderer.picture(&[WORLD, ball], &CAMERA, &[rod]).unwrap();
     assert_eq!(picture.len(), 3 * 63 * 48);
     let [upper_right, lower_left] = [mean(&picture, 63, 40..46, 10..14), mean(&picture, 63, 17..23, 34..38)];

@@ -11,16 +11,10 @@ use crate::support::{complaint, refused, run, success, with_small_config};
 
 /// A robot of 40 kg in the style of an ANYmal: legs that are straight at zero angles, no pose of its own, servos.
 fn anymal_like() -> Foreign {
-    Foreign {
-        sections: "<option integrator='implicitfast'/>\n",
-        trunk: "",
-        joint: "armature='0.1'",
-        ranges: ["range='-9 9'"; 3],
-        foot: "<geom type='sphere' size='0.03' pos='0.08 0 -0.32'/>",
-        actuator: "<position joint='{}' kp='100' forcerange='-80 80'/>",
-        after: "",
-        ..foreign()
-    }
+    let (sections, ranges) = ("<option integrator='implicitfast'/>\n", ["range='-9 9'"; 3]);
+    let foot = "<geom type='sphere' size='0.03' pos='0.08 0 -0.32'/>";
+    let actuator = "<position joint='{}' kp='100' forcerange='-80 80'/>";
+    Foreign { sections, trunk: "", joint: "armature='0.1'", ranges, foot, actuator, after: "", ..foreign() }
 }
 
 /// Returns the text of a robot with joints LF_HAA and so on, and with bodies that have no names.
@@ -63,11 +57,8 @@ fn robot_without_pose_trains_with_bent_knees() {
         assert!((foot.x - place).abs() < 0.002, "{foot}");
     }
     let ratio = (40.0 / 13.100_448) * height / 0.340_27;
-    assert!(
-        (config.simulation.kp_n_m_per_rad.largest() / (40.0 * ratio) - 1.0).abs() < 0.01,
-        "{:?}",
-        config.simulation
-    );
+    let gain = config.simulation.kp_n_m_per_rad.largest();
+    assert!((gain / (40.0 * ratio) - 1.0).abs() < 0.01, "{gain}");
     assert!((config.reward.base_height_m / (0.31 * height / 0.340_27) - 1.0).abs() < 0.01, "{:?}", config.reward);
 
     // What the command line says has the last word, and a run goes on with its robot.

@@ -56,14 +56,9 @@ pub fn zero_policy(config: Config) -> Policy {
     let (layout, mut rng) = (config.layout().unwrap(), stream(0, Purpose::Weights, 0, 0));
     let network = ActorCritic::orthogonal(layout.length(), &[8], JOINTS, -1.0, &mut rng);
     let robot = Robot::load(&config.robot.model).unwrap();
-    let provenance = Provenance {
-        config_name: "compliant".into(),
-        seed: 0,
-        samples: config.run.samples,
-        config,
-        git_revision: "test".into(),
-        mujoco_version: "2.2.2".into(),
-    };
+    let (git_revision, mujoco_version, config_name) = ("test".into(), "2.2.2".into(), "compliant".into());
+    let samples = config.run.samples;
+    let provenance = Provenance { config_name, seed: 0, samples, config, git_revision, mujoco_version };
     Policy::new(&network.zeros_like(), &robot, layout, provenance)
 }
 

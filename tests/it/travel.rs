@@ -171,17 +171,11 @@ fn examples_describe_what_they_say() {
     let folder = tempfile::tempdir().unwrap();
     let policy = Agent::load(&example(folder.path(), "rsl_rl")).unwrap();
     // Ours are FR, FL, RR, RL: Isaac Gym's left legs come first.
-    assert_eq!(
-        policy.inference().action.nominal_pose,
-        [-0.1, 0.8, -1.5, 0.1, 0.8, -1.5, -0.1, 1.0, -1.5, 0.1, 1.0, -1.5]
-    );
+    let pose = policy.inference().action.nominal_pose;
+    assert_eq!(pose, [-0.1, 0.8, -1.5, 0.1, 0.8, -1.5, -0.1, 1.0, -1.5, 0.1, 1.0, -1.5]);
     assert_eq!((policy.config.simulation.physics_rate_hz, policy.config.simulation.policy_rate_hz), (200, 50));
-    assert!(
-        Robot::load(repository("examples/robots/quadruped.yaml").to_str().unwrap())
-            .unwrap_err()
-            .problem
-            .contains("robot.xml")
-    );
+    let error = Robot::load(repository("examples/robots/quadruped.yaml").to_str().unwrap()).unwrap_err();
+    assert!(error.problem.contains("robot.xml"));
 }
 
 #[test]

@@ -77,16 +77,9 @@ pub fn start(
     let listener = runtime.block_on(TcpListener::bind((ip, port))).with_context(at)?;
     let (address, token) = (listener.local_addr()?, Token::random());
     let serving = (url(address, &token), runtime.handle().clone());
-    let shared = Shared {
-        token,
-        port: address.port(),
-        robots,
-        updates,
-        hello: Arc::new(hello),
-        pages: Arc::default(),
-        page_permits: Arc::new(Semaphore::new(MOST_PAGES)),
-        viewer_permits: Arc::new(Semaphore::new(MOST_VIEWERS)),
-    };
+    let (port, hello, page_permits) = (address.port(), Arc::new(hello), Arc::new(Semaphore::new(MOST_PAGES)));
+    let viewer_permits = Arc::new(Semaphore::new(MOST_VIEWERS));
+    let shared = Shared { token, port, robots, updates, hello, pages: Arc::default(), page_permits, viewer_permits };
     let router = files::routes()
         .route("/control", get(sockets::control))
         .route("/view", get(sockets::view))

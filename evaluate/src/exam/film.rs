@@ -80,7 +80,7 @@ fn draw(part: &Part<'_>, [index, trial]: [usize; 2]) -> Result<Film, FilmError> 
     let (info, condition) = (experiment.info(), &experiment.conditions().map_err(RunError::from)?[index]);
     let member = &policies.sets[0].members[0];
     let seed = trial::trial_seed(member.seed, info.number, index, trial as u32);
-    let (_, mut script) = trial::set_up(condition, seed, &member.agent)?.ok_or(FilmError::NoFall)?;
+    let (_, mut script) = trial::setup(condition, seed, &member.agent)?.ok_or(FilmError::NoFall)?;
     script.after_fall_s = AFTER_FALL_S;
     let playback = Playback::new(&script, &member.agent.config, member.agent.controller())?;
     let playback = playback.with_sensing(sensing, seed).map_err(TrialError::from)?;

@@ -43,12 +43,8 @@ impl Balls {
     fn pit(&self, base: &BallPitScenario) -> BallPitScenario {
         let pitch = |radius_m: f64| 2.0 * radius_m + base.gap_m;
         let side = (f64::from(base.balls).sqrt() * pitch(base.radius_m) / pitch(self.radius_m)).round();
-        let mut pit = BallPitScenario {
-            balls: (side * side) as u32,
-            mass_kg: self.mass_kg,
-            radius_m: self.radius_m,
-            ..base.clone()
-        };
+        let balls = (side * side) as u32;
+        let mut pit = BallPitScenario { balls, mass_kg: self.mass_kg, radius_m: self.radius_m, ..base.clone() };
         pit.task.forward_m_s = self.forward_m_s;
         pit
     }

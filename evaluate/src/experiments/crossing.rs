@@ -21,11 +21,7 @@ impl Crossing {
         let is_across = trial.end != TrialEnd::Fault && trial.metric("crossed") == Some(1.0);
         let times_s = metrics::crossing(trial.trace, first_edge_m, last_edge_m).filter(|_| is_across);
         let frames = times_s.into_iter().flat_map(|[from_s, to_s]| metrics::window(trial.trace, from_s, to_s));
-        Crossing {
-            is_across,
-            times_s,
-            peak_foot_force_n: metrics::largest(frames.clone(), |frame| frame.peak_foot_force_n),
-            power_w: metrics::mean(frames, |frame| frame.power_w),
-        }
+        let peak_foot_force_n = metrics::largest(frames.clone(), |frame| frame.peak_foot_force_n);
+        Crossing { is_across, times_s, peak_foot_force_n, power_w: metrics::mean(frames, |frame| frame.power_w) }
     }
 }

@@ -7,14 +7,8 @@ use crate::results::Results;
 use crate::statistics::Spread;
 use supple::scenario::catalog::PushTrunk;
 
-const QUANTITIES: &[Quantity] = &[
-    push::TO_10,
-    push::TO_20,
-    push::CARRIED,
-    Quantity::new("left_before_m_s", "sideways velocity before", "m/s", 3),
-    push::UNDECAYED,
-    FELL,
-];
+const BEFORE: Quantity = Quantity::new("left_before_m_s", "sideways velocity before", "m/s", 3);
+const QUANTITIES: &[Quantity] = &[push::TO_10, push::TO_20, push::CARRIED, BEFORE, push::UNDECAYED, FELL];
 
 /// The duration of the shove that stands beside the instant push \[s\].
 const SHOVE_S: f64 = 0.1;

@@ -62,12 +62,8 @@ impl FreeBox {
 fn run(sample: &Sample) -> Option<Run> {
     let [x, y, first, last] = sample.series.as_slice() else { return None };
     let pose = |series: &[f32]| <[f32; 3]>::try_from(series).ok().map(|pose| pose.map(f64::from));
-    Some(Run {
-        path: x.iter().zip(y).map(|(x, y)| [f64::from(*x), f64::from(*y)]).collect(),
-        first: pose(first)?,
-        last: pose(last)?,
-        fell: sample.end == TrialEnd::Fell,
-    })
+    let path = x.iter().zip(y).map(|(x, y)| [f64::from(*x), f64::from(*y)]).collect();
+    Some(Run { path, first: pose(first)?, last: pose(last)?, fell: sample.end == TrialEnd::Fell })
 }
 
 /// Returns x \[m\], y \[m\] and yaw \[rad\] of a pose.

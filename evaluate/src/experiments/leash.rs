@@ -3,11 +3,8 @@
 use super::prelude::*;
 use supple::scenario::catalog::Leash as LeashScenario;
 
-const QUANTITIES: &[Quantity] = &[
-    Quantity::new("offset_m_s", "velocity along the pull", "m/s", 3),
-    FELL,
-    Quantity::new("power_w", "power", "W", 1),
-];
+const OFFSET: Quantity = Quantity::new("offset_m_s", "velocity along the pull", "m/s", 3);
+const QUANTITIES: &[Quantity] = &[OFFSET, FELL, Quantity::new("power_w", "power", "W", 1)];
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

@@ -21,10 +21,8 @@ pub(super) fn around(trace: &Trace, push_s: f64) -> Vec<Vec<f32>> {
     let first = pushed.saturating_sub(steps(SHOWN_S[0]));
     let frames = &trace.frames[first..(pushed + steps(SHOWN_S[1])).min(trace.frames.len())];
     let time = |index: usize| ((first + index) as f64 - pushed as f64 + 1.0) * trace.period_s;
-    vec![
-        (0..frames.len()).map(|index| time(index) as f32).collect(),
-        frames.iter().map(|frame| frame.velocity_in_heading[1] as f32).collect(),
-    ]
+    let times = (0..frames.len()).map(|index| time(index) as f32).collect();
+    vec![times, frames.iter().map(|frame| frame.velocity_in_heading[1] as f32).collect()]
 }
 
 /// Adds a figure of a condition with a curve for each set, and a file with the points of all conditions' curves. `marked`

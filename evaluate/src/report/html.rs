@@ -54,9 +54,7 @@ fn introduction(report: &Report) -> Markup {
     let trials: usize = report.sections.iter().flat_map(|section| &section.ends).map(|ends| ends.trials).sum();
     html! {
         nav {
-            @for Section { info, .. } in &report.sections {
-                a href={ "#" (info.name) } { (info.id) " " (info.title) } " "
-            }
+            @for Section { info, .. } in &report.sections { a href={ "#" (info.name) } { (info.id) " " (info.title) } " " }
         }
         p {
             (trials) " trials in simulation. Figures, tables and sections beside the titles of experiments are those of “Deep \
@@ -132,20 +130,13 @@ pub fn sets_table(training: &[Training]) -> Markup {
 }
 
 fn policies(report: &Report) -> Markup {
-    html! {
-        h2 id="policies" { "Policies" }
-        (plain_table(policy_rows(report)))
-        (figures(&report.curves))
-    }
+    html! { h2 id="policies" { "Policies" } (plain_table(policy_rows(report))) (figures(&report.curves)) }
 }
 
 fn figures(figures: &[Figure]) -> Markup {
     html! {
         @for figure in figures {
-            figure id={ "figure-" (figure.name) } {
-                (PreEscaped(&figure.svg))
-                figcaption { (figure.caption) }
-            }
+            figure id={ "figure-" (figure.name) } { (PreEscaped(&figure.svg)) figcaption { (figure.caption) } }
         }
     }
 }
@@ -194,10 +185,7 @@ fn missing(report: &Report) -> Markup {
         h2 { "Not run" }
         ul {
             @for info in &report.missing {
-                li {
-                    (info.id) " " (info.title) ": "
-                    code { (report.command.text(Some(info.name))) }
-                }
+                li { (info.id) " " (info.title) ": " code { (report.command.text(Some(info.name))) } }
             }
         }
     }

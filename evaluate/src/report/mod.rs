@@ -133,17 +133,9 @@ const TOO_FEW: &str = "No difference has a verdict: each has fewer than five pai
 impl<'a> Report<'a> {
     /// Creates a report without experiments.
     pub fn new(policies: &'a PolicySets, protocol: String, command: CommandLine) -> Self {
-        Report {
-            names: policies.names(),
-            policies,
-            protocol,
-            command,
-            notes: policies.notes.clone(),
-            sections: Vec::new(),
-            missing: Vec::new(),
-            sensing: SensingComparison::new(policies),
-            curves: Vec::new(),
-        }
+        let (names, notes, sections) = (policies.names(), policies.notes.clone(), Vec::new());
+        let sensing = SensingComparison::new(policies);
+        Report { names, policies, protocol, command, notes, sections, missing: Vec::new(), sensing, curves: Vec::new() }
     }
 
     /// Adds a finished experiment. Notes about undisturbed walking (E0) concern all experiments and become notes of the report.

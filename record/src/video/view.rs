@@ -75,12 +75,8 @@ impl<'a> View<'a> {
         };
         self.looked_at = Some((time_s, target));
         let [x, y, z] = DIRECTION;
-        Camera {
-            target,
-            distance_m: DISTANCE_M,
-            azimuth_deg: (-y).atan2(-x).to_degrees(),
-            elevation_deg: -z.atan2(x.hypot(y)).to_degrees(),
-        }
+        let (azimuth_deg, elevation_deg) = ((-y).atan2(-x).to_degrees(), -z.atan2(x.hypot(y)).to_degrees());
+        Camera { target, distance_m: DISTANCE_M, azimuth_deg, elevation_deg }
     }
 
     /// Returns the path of the trunk on the ground.

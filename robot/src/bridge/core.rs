@@ -73,10 +73,7 @@ impl<'a> Bridge<'a> {
     pub fn new(agent: &'a Agent, latency_s: Option<f64>) -> anyhow::Result<Self> {
         let config = &agent.config;
         let model = &config.robot.model;
-        ensure!(
-            model == "go2",
-            "the policy is for the robot {model}, expected go2: give a policy such as go2/compliant"
-        );
+        ensure!(model == "go2", "the policy is for the robot {model}, expected go2: give one such as go2/compliant");
         let latency_s = latency_s.unwrap_or(config.simulation.latency_s);
         ensure!((0.0..=0.2).contains(&latency_s), "latency {latency_s} s: expected 0 to 0.2 s");
         let robot: Arc<Robot> = config.robot.load()?;
@@ -163,12 +160,8 @@ impl<'a> Bridge<'a> {
         {
             return self.notes.push(format!("the command is ignored: {error}"));
         }
-        self.command = Command {
-            forward: command.forward.clamp(-forward, forward),
-            left: command.left.clamp(-left, left),
-            yaw: command.yaw.clamp(-yaw, yaw),
-            ..command
-        };
+        let (forward, left) = (command.forward.clamp(-forward, forward), command.left.clamp(-left, left));
+        self.command = Command { forward, left, yaw: command.yaw.clamp(-yaw, yaw), ..command };
     }
 
     fn wish(&mut self, wish: Wish, now_s: f64) {

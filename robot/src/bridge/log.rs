@@ -75,20 +75,10 @@ impl Row {
             Some(*first)
         }
         let [time_s, tick_s] = take(&mut rest)?;
-        Some(Row {
-            time_s,
-            tick_s,
-            q: take(&mut rest)?,
-            dq: take(&mut rest)?,
-            tau: take(&mut rest)?,
-            quaternion: take(&mut rest)?,
-            gyro: take(&mut rest)?,
-            accelerometer: take(&mut rest)?,
-            command: take(&mut rest)?,
-            compliance: take::<1>(&mut rest)?[0],
-            target: take(&mut rest)?,
-            gains: take(&mut rest)?,
-        })
+        let (q, dq, tau, quaternion) = (take(&mut rest)?, take(&mut rest)?, take(&mut rest)?, take(&mut rest)?);
+        let (gyro, accelerometer, command) = (take(&mut rest)?, take(&mut rest)?, take(&mut rest)?);
+        let (compliance, target, gains) = (take::<1>(&mut rest)?[0], take(&mut rest)?, take(&mut rest)?);
+        Some(Row { time_s, tick_s, q, dq, tau, quaternion, gyro, accelerometer, command, compliance, target, gains })
     }
 }
 

@@ -26,15 +26,10 @@ pub struct Perception {
 impl Perception {
     /// Creates the estimators; they start with the first reading, in which the robot should be at rest.
     pub fn new(robot: Arc<Robot>) -> anyhow::Result<Self> {
-        Ok(Perception {
-            contacts: ContactEstimator::new(ContactNetwork::shipped()?),
-            estimator: Estimator::new(Arc::clone(&robot), EstimatorConfig::default()),
-            forces: ForceObserver::new(&robot)?,
-            touching: [true; 4],
-            since_contact_s: 0.0,
-            before: None,
-            robot,
-        })
+        let contacts = ContactEstimator::new(ContactNetwork::shipped()?);
+        let estimator = Estimator::new(Arc::clone(&robot), EstimatorConfig::default());
+        let forces = ForceObserver::new(&robot)?;
+        Ok(Perception { contacts, estimator, forces, touching: [true; 4], since_contact_s: 0.0, before: None, robot })
     }
 
     /// Discards all readings; the next one counts as the first.

@@ -32,15 +32,13 @@ impl Reading {
         }
         let of_motors = |value: fn(&MotorState) -> f32| state.of_motors(value);
         let imu = &state.imu_state;
+        let [gyro, specific_force] = [imu.gyroscope, imu.accelerometer].map(|it| Vector3::from(it.map(f64::from)));
         let [w, x, y, z] = imu.quaternion.map(f64::from);
         let hottest = state.motor_state[..JOINTS].iter().enumerate().max_by_key(|(_, motor)| motor.temperature);
         let has_battery = state.bms_state.cell_vol.iter().any(|voltage| *voltage > 0);
         Ok(Reading {
             tick_ms: state.tick,
-            imu: ImuReading {
-                gyro: Vector3::from(imu.gyroscope.map(f64::from)),
-                specific_force: Vector3::from(imu.accelerometer.map(f64::from)),
-            },
+            imu: ImuReading { gyro, specific_force },
             world_from_base: UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z)),
             encoders: EncoderReading { angles: of_motors(|motor| motor.q), rates: of_motors(|motor| motor.dq) },
             torques: of_motors(|motor| motor.tau_est),

@@ -99,20 +99,13 @@ fn decoded<T: Field>(message: &[u8]) -> Option<T> {
 }
 
 fn row(time_s: f64, state: &LowState, sent: &LowCmd, command: [f64; 3]) -> Row {
-    Row {
-        time_s,
-        tick_s: 1e-3 * f64::from(state.tick),
-        q: state.of_motors(|motor| motor.q),
-        dq: state.of_motors(|motor| motor.dq),
-        tau: state.of_motors(|motor| motor.tau_est),
-        quaternion: state.imu_state.quaternion.map(f64::from),
-        gyro: state.imu_state.gyroscope.map(f64::from),
-        accelerometer: state.imu_state.accelerometer.map(f64::from),
-        command,
-        compliance: 0.0,
-        target: std::array::from_fn(|joint| f64::from(sent.motor_cmd[joint].q)),
-        gains: [sent.motor_cmd[0].kp, sent.motor_cmd[0].kd].map(f64::from),
-    }
+    let (tick_s, q) = (1e-3 * f64::from(state.tick), state.of_motors(|motor| motor.q));
+    let (dq, tau) = (state.of_motors(|motor| motor.dq), state.of_motors(|motor| motor.tau_est));
+    let (quaternion, gyro) = (state.imu_state.quaternion.map(f64::from), state.imu_state.gyroscope.map(f64::from));
+    let accelerometer = state.imu_state.accelerometer.map(f64::from);
+    let target = std::array::from_fn(|joint| f64::from(sent.motor_cmd[joint].q));
+    let gains = [sent.motor_cmd[0].kp, sent.motor_cmd[0].kd].map(f64::from);
+    Row { time_s, tick_s, q, dq, tau, quaternion, gyro, accelerometer, command, compliance: 0.0, target, gains }
 }
 
 #[cfg(test)]
@@ -153,11 +146,8 @@ pub(super) mod tests {
 
     fn columns() -> Columns {
         let constants = [("command_forward", 0.4), ("command_left", 0.2), ("command_yaw", 0.3), (COMPLIANCE, 0.02)];
-        Columns {
-            constants: constants.map(|(name, value)| (name.to_owned(), value)).into(),
-            from_s: 0.01,
-            ..Columns::default()
-        }
+        let constants = constants.map(|(name, value)| (name.to_owned(), value)).into();
+        Columns { constants, from_s: 0.01, ..Columns::default() }
     }
 
     fn read_bytes(bytes: &[u8], columns: &Columns) -> Result<LogRows, String> {

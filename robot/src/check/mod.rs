@@ -219,9 +219,7 @@ fn physical(rows: &[(String, Row)], agent: &Agent) -> Vec<Finding> {
     let [sent_kp, sent_kd] = rows.first().map_or([wanted_kp, wanted_kd], |row| row.gains);
     let differs = |found: f64, wanted: f64, by: f64| (found - wanted).abs() > by * wanted;
     let of_gains = if differs(sent_kp, wanted_kp, 0.02) || differs(sent_kd, wanted_kd, 0.02) {
-        Some(format!(
-            "gains are kp {sent_kp} and kd {sent_kd}, the policy was trained with {wanted_kp} and {wanted_kd}"
-        ))
+        Some(format!("gains are kp {sent_kp} and kd {sent_kd}, the policy was trained at {wanted_kp} and {wanted_kd}"))
     } else {
         effective_gains(&rows, &gains).and_then(|[kp, kd]| {
             let of_torques = |gain: String, sent: f64| {
@@ -295,7 +293,7 @@ mod tests {
     static LOG: LazyLock<LogRows> = LazyLock::new(|| {
         let scenario =
             Scenario::named("walk", "{duration_s: 3.0, forward_m_s: 0.4, left_m_s: 0.2, yaw_rad_s: 0.3}").unwrap();
-        let rehearsal = rehearse(&AGENT, &scenario, 1, None, 1000).unwrap();
+        let rehearsal = rehearse(&AGENT, &scenario, 1, None).unwrap();
         LogRows(rehearsal.log.into_iter().map(|(phase, row)| (phase.to_owned(), row)).collect())
     });
 

@@ -27,6 +27,9 @@ use crate::remote::Remote;
 /// Rate of the states \[Hz\].
 pub const STATE_HZ: u32 = 500;
 
+/// Physics rate \[Hz\], a multiple of [`STATE_HZ`].
+const PHYSICS_HZ: u32 = 1000;
+
 /// Rate of the frames for metrics and recordings \[Hz\].
 const FRAME_HZ: u32 = 50;
 
@@ -66,20 +69,12 @@ impl Controller for Motors {
     }
 }
 
-/// Returns the configuration in which the simulation's joint target is a torque, at this physics rate \[Hz\].
-pub fn configuration(mut config: Config, physics_hz: u32) -> anyhow::Result<Config> {
-    anyhow::ensure!(
-        physics_hz.is_multiple_of(STATE_HZ) && (500..=4000).contains(&physics_hz),
-        "physics rate {physics_hz} Hz: expected a multiple of {STATE_HZ} Hz, from 500 to 4000"
-    );
-    config.simulation = Simulation {
-        physics_rate_hz: physics_hz,
-        policy_rate_hz: physics_hz,
-        kp_n_m_per_rad: 1.0.into(),
-        kd_n_m_s_per_rad: 0.0.into(),
-        latency_s: 0.0,
-    };
-    Ok(config)
+/// Returns the configuration in which the simulation's joint target is a torque, at [`PHYSICS_HZ`].
+pub fn configuration(config: Config) -> Config {
+    let (physics_rate_hz, policy_rate_hz) = (PHYSICS_HZ, PHYSICS_HZ);
+    let (kp_n_m_per_rad, kd_n_m_s_per_rad) = (1.0.into(), 0.0.into());
+    let simulation = Simulation { physics_rate_hz, policy_rate_hz, kp_n_m_per_rad, kd_n_m_s_per_rad, latency_s: 0.0 };
+    Config { simulation, ..config }
 }
 
 /// The events of a tick of [`STATE_HZ`].
@@ -235,18 +230,9 @@ impl Body {
         let motor = |joint: usize| {
             let (q, dq) = (self.encoders.angles[joint] as f32, self.encoders.rates[joint] as f32);
             let ddq = ((self.encoders.rates[joint] - self.last_rates[joint]) / dt_s) as f32;
-            MotorState {
-                mode: SERVO,
-                q,
-                dq,
-                ddq,
-                tau_est: self.torques[joint] as f32,
-                q_raw: q,
-                dq_raw: dq,
-                ddq_raw: ddq,
-                temperature: self.temperatures[joint].clamp(0.0, 127.0) as u8,
-                ..MotorState::zero()
-            }
+            let (mode, tau_est, ddq_raw) = (SERVO, self.torques[joint] as f32, ddq);
+            let temperature = self.temperatures[joint].clamp(0.0, 127.0) as u8;
+            MotorState { mode, q, dq, ddq, tau_est, q_raw: q, dq_raw: dq, ddq_raw, temperature, ..MotorState::zero() }
         };
         let motor_state: [MotorState; MOTORS] =
             std::array::from_fn(|index| if index < JOINTS { motor(index) } else { MotorState::zero() });
@@ -343,7 +329,7 @@ mod tests {
     use crate::message::crc;
 
     fn body() -> Body {
-        let config = configuration(Config::load("go2").unwrap(), 1000).unwrap();
+        let config = configuration(Config::load("go2").unwrap());
         let mut script = Scenario::named("walk", "{duration_s: 3600.0}").unwrap().script(0, &config).unwrap();
         script.after_fall_s = 3600.0;
         Body::new(script, config, None, 0).unwrap()

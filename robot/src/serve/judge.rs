@@ -71,16 +71,9 @@ pub struct Judge {
 impl Judge {
     /// Creates the judge of a robot with these joint ranges \[rad\]. With `any_head`, head and level flag are not looked at.
     pub fn new(joint_limits: [[f64; 2]; JOINTS], any_head: bool) -> Self {
-        Judge {
-            joint_limits,
-            any_head,
-            motors: motor::damping(),
-            writers: Vec::new(),
-            last_s: None,
-            is_silent: true,
-            accepted: 0,
-            counts: BTreeMap::new(),
-        }
+        let (motors, counts) = (motor::damping(), BTreeMap::new());
+        let (writers, last_s) = (Vec::new(), None);
+        Judge { joint_limits, any_head, motors, writers, last_s, is_silent: true, accepted: 0, counts }
     }
 
     /// Takes a command that arrived at `now_s` \[s\]; returns the complaints about it.

@@ -68,15 +68,9 @@ impl Shown for ServedRobot {
     }
 
     fn facts(&self) -> Vec<Facts> {
-        vec![Facts {
-            policy: "client".to_owned(),
-            robot: "go2".to_owned(),
-            compliance: None,
-            reach: None,
-            falls: self.falls,
-            weight_n: self.scene.robot.mass_kg * GRAVITY_M_S2,
-            period_s: FRAME_S,
-        }]
+        let [policy, robot] = ["client", "go2"].map(ToOwned::to_owned);
+        let (falls, weight_n) = (self.falls, self.scene.robot.mass_kg * GRAVITY_M_S2);
+        vec![Facts { policy, robot, compliance: None, reach: None, falls, weight_n, period_s: FRAME_S }]
     }
 }
 
@@ -167,7 +161,7 @@ mod tests {
 
     #[test]
     fn page_pushes_pulls_and_steers_until_it_falls_silent() {
-        let config = configuration(Config::load("go2").unwrap(), 1000).unwrap();
+        let config = configuration(Config::load("go2").unwrap());
         let script = Scenario::named("walk", "{}").unwrap().script(0, &config).unwrap();
         let robot = Arc::clone(&script.scene.robot);
         let (mut page, to_robot) = Page::new(&script.scene, 0, Command::velocity(1.0, 0.5, 0.5));

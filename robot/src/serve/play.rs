@@ -148,7 +148,7 @@ impl<'a> Served<'a> {
     fn new(settings: &'a Settings) -> anyhow::Result<Self> {
         let (faults, full_sticks) = (settings.faults()?, settings.full_sticks()?);
         let (place, scenario) = (settings.network.place()?, settings.scenario()?);
-        let mut config = configuration(Config::load("go2")?, settings.physics_hz)?;
+        let mut config = configuration(Config::load("go2")?);
         config.robot.set_losses(settings.joints.into());
         let plane = Scenario::named("walk", "{}")?;
         let mut script = scenario.as_ref().unwrap_or(&plane).script(settings.seed, &config)?;
@@ -316,15 +316,8 @@ impl<'a> Served<'a> {
         if let Some(fault) = self.trace.events.iter().find(|event| event.kind == EventKind::Fault) {
             terminal::note(format_args!("the simulation stopped: {}", fault.text));
         }
-        Ok(Summary {
-            scenario: self.scenario,
-            seed: self.settings.seed,
-            metrics,
-            events: self.trace.events,
-            complaints: self.judge.counts,
-            accepted: self.judge.accepted,
-            pace,
-        })
+        let (seed, events, accepted) = (self.settings.seed, self.trace.events, self.judge.accepted);
+        Ok(Summary { scenario: self.scenario, seed, metrics, events, complaints: self.judge.counts, accepted, pace })
     }
 }
 

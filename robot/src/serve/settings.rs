@@ -28,9 +28,6 @@ pub struct Settings {
     /// Sensors without noise
     #[arg(long)]
     pub exact_sensors: bool,
-    /// Physics rate (Hz), a multiple of 500
-    #[arg(long, value_name = "HZ", default_value_t = 1000)]
-    pub physics_hz: u32,
     /// Obey without a release of the robot's own controller, as simulators do
     #[arg(long)]
     pub released: bool,

@@ -226,12 +226,8 @@ fn run(command: PolicyCommand) -> anyhow::Result<()> {
 /// Checks that the joint targets of an external policy are finite for a robot that stands still in its nominal pose.
 fn verify_external(name: &str, agent: &Agent) -> anyhow::Result<()> {
     let mut controller = agent.inference().controller();
-    let state = RobotState {
-        height: agent.config.reward.base_height_m,
-        gravity_in_base: Vector3::new(0.0, 0.0, -GRAVITY_M_S2),
-        joint_angles: controller.rest(),
-        ..RobotState::default()
-    };
+    let (height, gravity_in_base) = (agent.config.reward.base_height_m, Vector3::new(0.0, 0.0, -GRAVITY_M_S2));
+    let state = RobotState { height, gravity_in_base, joint_angles: controller.rest(), ..RobotState::default() };
     controller.begin(&state);
     check_finite(&controller.joint_targets(&state, &Command::default())).with_context(|| name.to_owned())?;
     terminal::print(format_args!(

@@ -95,10 +95,7 @@ fn run(args: Args, ranks: &Arc<dyn Ranks>) -> anyhow::Result<()> {
 
     let cores = std::thread::available_parallelism().map_or(1, |cores| cores.get());
     if args.seeds.is_some() || args.vary.is_some() {
-        ensure!(
-            ranks.is_alone(),
-            "--seeds and --vary train on one machine: under mpirun, give each run its own command"
-        );
+        ensure!(ranks.is_alone(), "--seeds and --vary train on one machine: under mpirun, give each run a command");
         return several::train_all(&args, cores, &stop, &training);
     }
     let threads = args.threads.map_or(cores, usize::from);

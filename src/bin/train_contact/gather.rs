@@ -71,15 +71,10 @@ pub fn episode(agent: &Agent, noise: SensorNoise, seed: u64, which: [u64; 2]) ->
     sim.reset(plan.conditions, &controller.rest())?;
     controller.begin(&sim.state());
     let mut sensor_rng = stream(seed, Purpose::Sensor, which[0], which[1]);
-    let mut recorder = SampleRecorder {
-        sensors: Sensors::new(noise, &mut sensor_rng),
-        rng: sensor_rng,
-        offsets: plan.conditions.encoder_bias,
-        target: controller.rest(),
-        history: ContactHistory::default(),
-        velocities: [[0.0; 3]; 4],
-        samples: ContactSamples::default(),
-    };
+    let (sensors, offsets) = (Sensors::new(noise, &mut sensor_rng), plan.conditions.encoder_bias);
+    let (target, history, velocities) = (controller.rest(), ContactHistory::default(), [[0.0; 3]; 4]);
+    let samples = ContactSamples::default();
+    let mut recorder = SampleRecorder { sensors, rng: sensor_rng, offsets, target, history, velocities, samples };
     let mut felt_force = [0.0; 2];
     for step in 0..simulation.policy_steps(EPISODE_S) {
         if step == stand_step {

@@ -160,16 +160,10 @@ impl ContactNetwork {
         let mut all = StoredTensor::of_network(self.mlp.tensors("contact."));
         all.push(StoredTensor::f32("normaliser.offset", vec![INPUTS], &self.offset));
         all.push(StoredTensor::f32("normaliser.scale", vec![INPUTS], &self.scale));
-        let metadata = ContactMetadata {
-            format: FORMAT,
-            rate_hz: RATE_HZ,
-            ticks: TICKS,
-            inputs: inputs(),
-            joints: joint_names().to_vec(),
-            outputs: LEGS.map(ToOwned::to_owned).to_vec(),
-            checksum: self.checksum(),
-            provenance: self.provenance.clone(),
-        };
+        let (format, rate_hz, inputs, joints) = (FORMAT, RATE_HZ, inputs(), joint_names().to_vec());
+        let (outputs, checksum) = (LEGS.map(ToOwned::to_owned).to_vec(), self.checksum());
+        let provenance = self.provenance.clone();
+        let metadata = ContactMetadata { format, rate_hz, ticks: TICKS, inputs, joints, outputs, checksum, provenance };
         // Plain structs of finite numbers and strings: serialising them cannot fail.
         tensors::serialize(&all, serde_json::to_string(&metadata).unwrap_or_default())
     }
@@ -242,9 +236,7 @@ fn parse(bytes: &[u8]) -> Result<ContactNetwork, ContactFileFault> {
     let scale = tensors::read_f32(&tensors, "normaliser.scale", &[INPUTS])?;
     let network = ContactNetwork::new(mlp, offset, scale, metadata.provenance);
     let found = network.checksum();
-    if found != metadata.checksum {
-        return Err(ContactFileFault::Damaged { found, expected: metadata.checksum });
-    }
+    ensure!(found == metadata.checksum, ContactFileFault::Damaged { found, expected: metadata.checksum });
     Ok(network)
 }
 

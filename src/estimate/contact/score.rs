@@ -24,20 +24,14 @@ impl Confusion {
         } += 1;
     }
 
-    /// Returns the fraction of reported contacts that are true; `None` if none was reported.
-    pub fn precision(&self) -> Option<f64> {
-        ratio(self.hits, self.hits + self.false_alarms)
-    }
-
-    /// Returns the fraction of true contacts that were reported; `None` if there was none.
-    pub fn recall(&self) -> Option<f64> {
-        ratio(self.hits, self.hits + self.misses)
-    }
-
-    /// Returns the harmonic mean of precision and recall, `2 h / (2 h + f + m)`; `None` without any contact, true or
-    /// reported.
-    pub fn f1(&self) -> Option<f64> {
-        ratio(2 * self.hits, 2 * self.hits + self.false_alarms + self.misses)
+    methods! {
+        /// Returns the fraction of reported contacts that are true; `None` if none was reported.
+        fn precision(&self) -> Option<f64> = ratio(self.hits, self.hits + self.false_alarms);
+        /// Returns the fraction of true contacts that were reported; `None` if there was none.
+        fn recall(&self) -> Option<f64> = ratio(self.hits, self.hits + self.misses);
+        /// Returns the harmonic mean of precision and recall, `2 h / (2 h + f + m)`; `None` without any contact, true or
+        /// reported.
+        fn f1(&self) -> Option<f64> = ratio(2 * self.hits, 2 * self.hits + self.false_alarms + self.misses);
     }
 }
 

@@ -127,9 +127,7 @@ fn meaning(offset: &[f64], nominal_pose: &[f64; JOINTS]) -> Result<Meaning> {
 /// Checks that an action is of all joints, and that its limits of joint targets, if any, are too wide to matter. Returns true if
 /// it has some.
 fn check_action(action: &DeployAction, joints: &[String; JOINTS]) -> Result<bool> {
-    if !is_of_all_joints(&action.joint_ids) {
-        return Err(of_some_joints("actions.JointPositionAction.joint_ids"));
-    }
+    ensure!(is_of_all_joints(&action.joint_ids), of_some_joints("actions.JointPositionAction.joint_ids"));
     let limits = action.clip.as_deref().unwrap_or_default();
     // A target a turn away saturates any motor.
     match limits.iter().zip(joints).find(|([low, high], _)| !(*low <= -TAU && *high >= TAU)) {
@@ -232,9 +230,7 @@ fn clip(key: &str, term: &RawTerm, scale_first: bool) -> Result<Option<f64>> {
     let Some([low, high]) = term.clip else { return Ok(None) };
     let scale = term.scale.as_deref().unwrap_or(&[1.0]);
     let key = format!("{key}.clip");
-    if low != -high {
-        return Err(value(&key, format!("is {low} to {high}"), "the same number with both signs"));
-    }
+    ensure!(low == -high, value(&key, format!("is {low} to {high}"), "the same number with both signs"));
     match scale {
         _ if scale_first => Ok(Some(high)),
         [scale, others @ ..] if others.iter().all(|other| other == scale) => Ok(Some(high * scale.abs())),
@@ -307,12 +303,9 @@ observations:
         let last = names.len() - 12;
         assert_eq!(names[last], "previous FL_hip output [1]");
         assert_eq!(names[last + 6], "previous RL_thigh output [1]");
-        let simulation = &spec.config.simulation;
-        assert_eq!((simulation.physics_rate_hz, simulation.policy_rate_hz), (200, 50));
-        assert_eq!(
-            (simulation.kp_n_m_per_rad, simulation.kd_n_m_s_per_rad),
-            (PerJoint::Same(25.0), PerJoint::Same(0.5))
-        );
+        let trained = &spec.config.simulation;
+        assert_eq!((trained.physics_rate_hz, trained.policy_rate_hz), (200, 50));
+        assert_eq!((trained.kp_n_m_per_rad, trained.kd_n_m_s_per_rad), (PerJoint::Same(25.0), PerJoint::Same(0.5)));
         assert_eq!(spec.config.robot.model, "go2");
     }
 
@@ -376,11 +369,7 @@ observations:
             ("step_dt: 0.02", "step_dt: 0.0", "step_dt is 0 s"),
             ("step_dt: 0.02", "step: 0.02", "step_dt"),
             ("offset: [0.1,", "offset: [0.2,", "offset is [0.2,"),
-            (
-                "JointPositionAction",
-                "JointVelocityAction",
-                "actions has JointVelocityAction, expected JointPositionAction",
-            ),
+            ("Position", "Velocity", "actions has JointVelocityAction, expected JointPositionAction"),
             ("[null, null, null]", "[0, 6, null]", "joint_ids chooses joints"),
             ("    clip: null", "    clip: [[-100, 100], [-1, 1]]", "limits the joint target of FR_hip to -1 to 1 rad"),
             (

@@ -95,16 +95,9 @@ fn text(
     observation: impl Iterator<Item = Observed>,
     (meaning, scale_rad): (Meaning, f64),
 ) -> String {
-    let found = Found {
-        joints: joint_names().into(),
-        nominal_pose: *nominal_pose,
-        simulation: simulation.clone(),
-        observation: observation.collect(),
-        history: vec![0],
-        meaning,
-        scale_rad: Numbers::All(scale_rad),
-        notes: Vec::new(),
-    };
+    let (joints, nominal_pose, simulation) = (joint_names().into(), *nominal_pose, simulation.clone());
+    let (observation, scale_rad, notes) = (observation.collect(), Numbers::All(scale_rad), Vec::new());
+    let found = Found { joints, nominal_pose, simulation, observation, history: vec![0], meaning, scale_rad, notes };
     // A line end would let a part of the title out of the comment.
     let title = title.replace(char::is_control, " ");
     PolicyDescription { title, onnx, robot, found }.to_string()
@@ -163,10 +156,7 @@ mod tests {
             let [own, exported] = targets;
             assert_ne!(own, before, "step {step}");
             before = own;
-            assert!(
-                own.iter().zip(exported).all(|(own, exported)| (own - exported).abs() < 1e-5),
-                "{own:?} {exported:?}"
-            );
+            assert!(own.iter().zip(exported).all(|(a, b)| (a - b).abs() < 1e-5), "{own:?} {exported:?}");
         }
     }
 }

@@ -32,13 +32,9 @@ const PHYSICS_RATE_HZ: u32 = 200;
 /// Returns a simulation at this policy rate, with the gains of keys and lists, in the order of `joints`; other rates and the latency
 /// are in no file.
 pub(super) fn simulation(policy_rate_hz: u32, [kp, kd]: [(&str, &[f64]); 2], joints: &[String]) -> Result<Simulation> {
-    Ok(Simulation {
-        physics_rate_hz: policy_rate_hz * PHYSICS_RATE_HZ.div_ceil(policy_rate_hz),
-        policy_rate_hz,
-        kp_n_m_per_rad: gain(kp.0, kp.1, joints)?,
-        kd_n_m_s_per_rad: gain(kd.0, kd.1, joints)?,
-        latency_s: 0.0,
-    })
+    let physics_rate_hz = policy_rate_hz * PHYSICS_RATE_HZ.div_ceil(policy_rate_hz);
+    let (kp_n_m_per_rad, kd_n_m_s_per_rad) = (gain(kp.0, kp.1, joints)?, gain(kd.0, kd.1, joints)?);
+    Ok(Simulation { physics_rate_hz, policy_rate_hz, kp_n_m_per_rad, kd_n_m_s_per_rad, latency_s: 0.0 })
 }
 
 /// A part of a file that has no counterpart in a description of ours, or that is wrong.

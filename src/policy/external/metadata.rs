@@ -38,14 +38,10 @@ fn found(entries: &Entries) -> Result<Found> {
         [scale] if scale.is_finite() => Numbers::All(scale),
         _ => Numbers::Each(for_each_joint("action_scale", &scale)?.to_vec()),
     };
-    let (stiffness, damping) = (entries.numbers("joint_stiffness")?, entries.numbers("joint_damping")?);
+    let (kp, kd) = (entries.numbers("joint_stiffness")?, entries.numbers("joint_damping")?);
     Ok(Found {
         nominal_pose: for_each_joint("default_joint_pos", &entries.numbers("default_joint_pos")?)?,
-        simulation: simulation(
-            POLICY_RATE_HZ,
-            [("joint_stiffness", &stiffness), ("joint_damping", &damping)],
-            &joints,
-        )?,
+        simulation: simulation(POLICY_RATE_HZ, [("joint_stiffness", &kp), ("joint_damping", &kd)], &joints)?,
         joints,
         observation: observation(entries)?,
         history: vec![0],
@@ -153,16 +149,12 @@ mod tests {
         let found = found(&metadata(&[("observation_history_lengths", "0,1,3,1,1,1,1")])).ok().unwrap();
         assert_eq!(found.joints[..2], ["FL_hip_joint", "FR_hip_joint"]);
         assert_eq!(found.nominal_pose[..2], [0.1, -0.1]);
-        assert_eq!(
-            (found.simulation.kp_n_m_per_rad, found.simulation.kd_n_m_s_per_rad),
-            (PerJoint::Same(25.0), PerJoint::Same(0.5))
-        );
+        let gains = (found.simulation.kp_n_m_per_rad, found.simulation.kd_n_m_s_per_rad);
+        assert_eq!(gains, (PerJoint::Same(25.0), PerJoint::Same(0.5)));
         assert_eq!(found.scale_rad, Numbers::All(0.25));
         let quantities: Vec<Quantity> = found.observation.iter().map(|observed| observed.quantity).collect();
-        assert_eq!(
-            quantities[..4],
-            [Quantity::BaseVelocity, Quantity::AngularVelocity, Quantity::ProjectedGravity, Quantity::JointOffsets]
-        );
+        let [velocity, gravity] = [Quantity::BaseVelocity, Quantity::ProjectedGravity];
+        assert_eq!(quantities[..4], [velocity, Quantity::AngularVelocity, gravity, Quantity::JointOffsets]);
         assert_eq!(quantities[4..], [Quantity::JointRates, Quantity::LastAction, Quantity::Command]);
         let ages: Vec<_> = found.observation.iter().map(|observed| observed.steps_ago.clone()).collect();
         assert_eq!(ages[..3], [None, None, Some(StepsAgo::Several(vec![2, 1, 0]))]);
@@ -177,11 +169,7 @@ mod tests {
             ("action_scale", "a quarter", "action_scale has 'a quarter', expected numbers"),
             ("action_scale", "0.25,0.5", "action_scale has 2 numbers, expected 12"),
             ("command_names", "motion", "command_names is 'motion', expected one of base_velocity, twist"),
-            (
-                "observation_names",
-                "command,motion_anchor_pos_b",
-                "'motion_anchor_pos_b', which needs a reference motion",
-            ),
+            ("observation_names", "command,motion_b", "'motion_b', which needs a reference motion"),
             ("observation_names", "phase", "'phase', which needs the gait's period"),
             ("observation_history_lengths", "1,1", "observation_history_lengths is [1.0, 1.0], expected"),
         ] {

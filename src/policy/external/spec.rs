@@ -97,12 +97,8 @@ impl Spec {
     fn new(raw: RawSpec, config: Config, folder: &Path) -> Result<Self, SpecFault> {
         let order = joint_order(&raw.joints, &config.robot, folder)?;
         let pose: Joints = raw.nominal_pose_rad.try_into().map_err(|pose: Vec<f64>| SpecFault::Angles(pose.len()))?;
-        if !pose.iter().all(|angle| angle.is_finite()) {
-            return Err(SpecFault::PoseNotFinite(pose));
-        }
-        if !pose.iter().all(|angle| angle.abs() <= std::f64::consts::TAU) {
-            return Err(SpecFault::Pose(pose));
-        }
+        ensure!(pose.iter().all(|angle| angle.is_finite()), SpecFault::PoseNotFinite(pose));
+        ensure!(pose.iter().all(|angle| angle.abs() <= std::f64::consts::TAU), SpecFault::Pose(pose));
         let mut nominal_pose = [0.0; JOINTS];
         for (place, angle) in order.iter().zip(pose) {
             nominal_pose[*place] = angle;
@@ -139,9 +135,7 @@ impl Spec {
             let (parts, input) = (lengths.join(", ") + &times, network.input_name().to_owned());
             return Err(SpecFault::Inputs { length, parts, input, onnx, expected: network.inputs() });
         }
-        if network.outputs() != JOINTS {
-            return Err(SpecFault::Outputs { onnx, found: network.outputs() });
-        }
+        ensure!(network.outputs() == JOINTS, SpecFault::Outputs { onnx, found: network.outputs() });
         Ok(())
     }
 

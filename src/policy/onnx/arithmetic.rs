@@ -120,9 +120,7 @@ pub(super) fn matrix(tensor: &Tensor, transposed: bool) -> Result<Tensor> {
 /// Computes `A · Bᵀ`, where both have rows of the same length.
 pub(super) fn multiply(a: &Tensor, b_transposed: &Tensor) -> Result<Tensor> {
     let ([rows, inner], [columns, width]) = (*two(a)?, *two(b_transposed)?);
-    if inner != width {
-        return Err(format!("it multiplies {inner} values with a matrix for {width}").into());
-    }
+    ensure!(inner == width, "it multiplies {inner} values with a matrix for {width}");
     if rows.saturating_mul(columns).saturating_mul(inner) > MAX_PRODUCT {
         return Err(format!("its product of {rows} x {inner} and {inner} x {columns} is too large for a policy").into());
     }

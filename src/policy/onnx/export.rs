@@ -79,13 +79,9 @@ struct Builder {
 
 impl Builder {
     fn constant(&mut self, name: &str, shape: &[usize], values: &[f32]) {
-        self.constants.push(TensorProto {
-            dims: shape.iter().map(|size| *size as i64).collect(),
-            data_type: FLOAT,
-            name: name.into(),
-            raw_data: values.iter().flat_map(|value| value.to_le_bytes()).collect(),
-            ..TensorProto::default()
-        });
+        let (dims, name) = (shape.iter().map(|size| *size as i64).collect(), name.into());
+        let raw_data = values.iter().flat_map(|value| value.to_le_bytes()).collect();
+        self.constants.push(TensorProto { dims, data_type: FLOAT, name, raw_data, ..TensorProto::default() });
     }
 
     fn node(&mut self, op_type: &str, inputs: &[&str], output: &str, attribute: Vec<Attribute>) {

@@ -149,19 +149,13 @@ impl OnnxNetwork {
         Ok(network)
     }
 
-    /// Returns the name of the input.
-    pub fn input_name(&self) -> &str {
-        &self.input
-    }
-
-    /// Returns the number of inputs.
-    pub fn inputs(&self) -> usize {
-        self.input_shape.iter().product()
-    }
-
-    /// Returns the number of outputs.
-    pub fn outputs(&self) -> usize {
-        self.outputs
+    methods! {
+        /// Returns the name of the input.
+        fn input_name(&self) -> &str = &self.input;
+        /// Returns the number of inputs.
+        fn inputs(&self) -> usize = self.input_shape.iter().product();
+        /// Returns the number of outputs.
+        fn outputs(&self) -> usize = self.outputs;
     }
 
     /// Evaluates the network. Start with [`OnnxScratch::default`], and use a scratch for one network only.
@@ -220,9 +214,7 @@ impl Operation {
 
 /// Decodes a file whose size has been checked.
 fn decode(bytes: &[u8]) -> Result<ModelProto> {
-    if pytorch::is_pytorch(bytes) {
-        return Err(pytorch::ADVICE.into());
-    }
+    ensure!(!pytorch::is_pytorch(bytes), pytorch::ADVICE);
     wire::check(bytes)?;
     Ok(ModelProto::decode(bytes).map_err(|error| format!("not ONNX ({error})"))?)
 }
@@ -324,13 +316,8 @@ mod tests {
     }
 
     fn graph(node: Vec<Node>, initializer: Vec<TensorProto>) -> Graph {
-        Graph {
-            node,
-            initializer,
-            input: vec![value_info("obs", 3, "")],
-            output: vec![value_info("y", 2, "")],
-            ..Graph::default()
-        }
+        let (input, output) = (vec![value_info("obs", 3, "")], vec![value_info("y", 2, "")]);
+        Graph { node, initializer, input, output, ..Graph::default() }
     }
 
     fn refusal(graph: Graph) -> String {

@@ -219,9 +219,7 @@ impl OperatorCall<'_> {
         let is_reduced = |index: &usize| are_all || axes.contains(index);
         let (reduced, kept): (Vec<usize>, Vec<usize>) = (0..rank).partition(is_reduced);
         let width = reduced.iter().map(|index| x.shape()[*index]).product();
-        if width == 0 {
-            return Err("it reduces no values at all".into());
-        }
+        ensure!(width > 0, "it reduces no values at all");
         let sorted = permuted(x, &[kept.clone(), reduced].concat())?;
         let values = sorted.floats()?.chunks(width).map(function).collect();
         let shape = if self.int("keepdims", 1) != 0 {
@@ -267,15 +265,11 @@ impl OperatorCall<'_> {
     }
 
     fn batch_normalization(&self) -> Result<Tensor> {
-        if self.int("training_mode", 0) != 0 {
-            return Err("it is in training mode: export the network in evaluation mode".into());
-        }
+        ensure!(self.int("training_mode", 0) == 0, "it is in training mode: export the network in evaluation mode");
         let x = self.input(0)?;
         let [scale, bias, mean, variance] = [1, 2, 3, 4].map(|index| self.input(index));
         let (scale, bias, mean, variance) = (scale?, bias?, mean?, variance?);
-        if x.shape().len() != 2 {
-            return Err(format!("its input has the shape {:?}, expected two dimensions", x.shape()).into());
-        }
+        ensure!(x.shape().len() == 2, "its input has the shape {:?}, expected two dimensions", x.shape());
         let epsilon = self.float("epsilon", 1e-5);
         let deviation = variance.map(|value| (value + epsilon).sqrt())?;
         let centred = broadcast(x, mean, |x, mean| x - mean)?;
@@ -392,9 +386,7 @@ impl OperatorCall<'_> {
             let size = rest.get_mut(at).map(std::mem::take);
             let mut expected = shape.clone();
             expected[at] = 0;
-            if rest != expected {
-                return Err(format!("its inputs have the shapes {:?} and {:?}", first.shape(), part.shape()).into());
-            }
+            ensure!(rest == expected, "its inputs have the shapes {:?} and {:?}", first.shape(), part.shape());
             shape[at] += size.unwrap_or(0);
         }
         elements(&shape)?;

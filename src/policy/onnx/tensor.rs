@@ -85,14 +85,13 @@ impl Tensor {
         Self::new(shape, values)
     }
 
-    /// Returns the size of each dimension.
-    pub fn shape(&self) -> &[usize] {
-        &self.shape
-    }
-
-    /// Returns the values of either kind.
-    pub fn values(&self) -> &Values {
-        &self.values
+    methods! {
+        /// Returns the size of each dimension.
+        fn shape(&self) -> &[usize] = &self.shape;
+        /// Returns the values of either kind.
+        fn values(&self) -> &Values = &self.values;
+        /// Returns the same values in another shape.
+        fn reshaped(&self, shape: Vec<usize>) -> Result<Self> = Self::new(shape, self.values.clone());
     }
 
     /// Returns the values if they are single precision.
@@ -109,11 +108,6 @@ impl Tensor {
             Values::Int(values) => Ok(values),
             Values::Float(_) => Err("its input holds single-precision numbers, expected integers".into()),
         }
-    }
-
-    /// Returns the same values in another shape.
-    pub fn reshaped(&self, shape: Vec<usize>) -> Result<Self> {
-        Self::new(shape, self.values.clone())
     }
 
     /// Applies a function to every value.

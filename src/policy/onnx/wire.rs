@@ -54,9 +54,7 @@ fn count(mut bytes: &[u8], message: MessageKind, fields: &mut usize) -> Result<(
     let cut = || Unsupported::from("it is cut off or not ONNX");
     while !bytes.is_empty() {
         *fields += 1;
-        if *fields > MAX_FIELDS {
-            return Err(format!("it has more than {MAX_FIELDS} fields, far more than a policy").into());
-        }
+        ensure!(*fields <= MAX_FIELDS, "it has more than {MAX_FIELDS} fields, far more than a policy");
         let key = varint(&mut bytes).ok_or_else(cut)?;
         let length = match key & 7 {
             0 => {

@@ -52,12 +52,8 @@ impl Chunk {
         (first / self.shard_blocks..end.div_ceil(self.shard_blocks)).map(move |shard| {
             let of_shard = shard * self.shard_blocks..(shard + 1) * self.shard_blocks;
             let (from, to) = (first.max(of_shard.start), end.min(of_shard.end));
-            ShardBlocks {
-                blocks: from - first..to - first,
-                shard,
-                is_first: from == of_shard.start,
-                is_last: to == of_shard.end,
-            }
+            let blocks = from - first..to - first;
+            ShardBlocks { blocks, shard, is_first: from == of_shard.start, is_last: to == of_shard.end }
         })
     }
 }

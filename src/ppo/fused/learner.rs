@@ -180,12 +180,7 @@ impl<A: Arithmetic> FusedLearner<A> {
             let of_shard = |shard: usize| &self.sums[network][shard * shard_blocks..][..shard_blocks];
             tree_sum(minibatch.shards, |shard| of_shard(shard).iter().map(|sums| part(&lock(sums))).sum())
         };
-        let losses = [
-            sum(0, &|sums| sums.policy_loss),
-            sum(0, &|sums| sums.kl),
-            sum(0, &|sums| sums.clipped),
-            sum(1, &|sums| sums.value_loss),
-        ];
+        let losses = [sum(0, &|s| s.policy_loss), sum(0, &|s| s.kl), sum(0, &|s| s.clipped), sum(1, &|s| s.value_loss)];
         let log_std = (0..minibatch.batch.log_std.len()).map(|i| sum(0, &|sums| sums.log_std_gradient[i]));
         losses.into_iter().chain(log_std).collect()
     }

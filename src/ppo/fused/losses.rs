@@ -42,13 +42,7 @@ impl<'a> Pass<'a> {
     }
 
     /// Computes the policy loss of `rows` and its gradient by the means and `ln σ`.
-    pub fn policy_loss(
-        self,
-        minibatch: &Minibatch<'_>,
-        rows: &[u32],
-        new: &DiagonalGaussian,
-        kl: &KlDivergence<'_>,
-    ) -> Sums {
+    pub fn policy_loss(self, minibatch: &Minibatch, rows: &[u32], new: &DiagonalGaussian, kl: &KlDivergence) -> Sums {
         let Minibatch { batch, settings, .. } = *minibatch;
         let actions = batch.log_std.len();
         let mut sums = Sums { log_std_gradient: vec![0.0; actions], ..Sums::default() };

@@ -68,15 +68,11 @@ impl AdamStep {
     pub fn new(settings: &Ppo, step: &OptimizerStep) -> Self {
         let count = step.count as f64;
         let [beta1, beta2] = ADAM_BETAS;
-        Self {
-            gradient_scale: step.gradient_scale as f32,
-            gain1: (1.0 - beta1) as f32,
-            beta2: beta2 as f32,
-            gain2: (1.0 - beta2) as f32,
-            step_size: (step.learning_rate / (1.0 - beta1.powf(count))) as f32,
-            second_moment_scale: (1.0 / (1.0 - beta2.powf(count)).sqrt()) as f32,
-            epsilon: settings.adam_epsilon as f32,
-        }
+        let (gradient_scale, gain1, gain2) = (step.gradient_scale as f32, (1.0 - beta1) as f32, (1.0 - beta2) as f32);
+        let step_size = (step.learning_rate / (1.0 - beta1.powf(count))) as f32;
+        let second_moment_scale = (1.0 / (1.0 - beta2.powf(count)).sqrt()) as f32;
+        let epsilon = settings.adam_epsilon as f32;
+        Self { gradient_scale, gain1, beta2: beta2 as f32, gain2, step_size, second_moment_scale, epsilon }
     }
 }
 

@@ -69,12 +69,8 @@ impl Team {
     /// `work` panics on any thread.
     pub fn run(threads: usize, work: impl Fn(Member<'_>) + Sync) -> Together {
         let start = Instant::now();
-        let team = Self {
-            taken: (0..threads).map(|_| CacheLine::default()).collect(),
-            arrived: AtomicUsize::new(0),
-            phase: AtomicUsize::new(0),
-            broken: AtomicBool::new(false),
-        };
+        let (taken, broken) = ((0..threads).map(|_| CacheLine::default()).collect(), AtomicBool::new(false));
+        let team = Self { taken, arrived: AtomicUsize::new(0), phase: AtomicUsize::new(0), broken };
         let member = |index| {
             let _alarm = Alarm(&team);
             work(Member { team: &team, index });
@@ -177,11 +173,8 @@ mod tests {
             let concluded = Mutex::new(Vec::new());
             Team::run(threads, |team| {
                 for round in 0..10 {
-                    team.phase(
-                        7,
-                        |task| done.lock().unwrap().push(round * 7 + task),
-                        || concluded.lock().unwrap().push(done.lock().unwrap().len()),
-                    );
+                    let task = |task| done.lock().unwrap().push(round * 7 + task);
+                    team.phase(7, task, || concluded.lock().unwrap().push(done.lock().unwrap().len()));
                 }
             });
             let mut done = done.into_inner().unwrap();

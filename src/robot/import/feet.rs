@@ -72,9 +72,7 @@ fn named(model: &Model, name: &str, leg: usize, joints: &[usize]) -> Result<usiz
         _ if !model.geom_contact(foot).collides() => "does not collide (its contype and conaffinity are 0)",
         _ => "",
     };
-    if !found.is_empty() {
-        return Err(RobotError::FootShape { name: name.to_owned(), leg: LEGS[leg], found });
-    }
+    ensure!(found.is_empty(), RobotError::FootShape { name: name.to_owned(), leg: LEGS[leg], found });
     let body = model.geom_body(foot);
     if !model.is_below(body, model.joint_body(joints[3 * leg + 2])) {
         let part = (0..joints.len()).rev().find(|joint| model.is_below(body, model.joint_body(joints[*joint])));

@@ -81,14 +81,10 @@ impl Description {
             let expected = "0 to 10 m";
             return Err(RobotError::Key { key: "min_height_m", found: height.to_string(), expected });
         }
-        let description = Description {
-            mjcf: path.parent().unwrap_or(Path::new("")).join(raw.mjcf),
-            joints: raw.joints.map(|legs| legs.in_order().into_iter().flatten().collect()),
-            feet: raw.feet.map(Legs::in_order),
-            pose,
-            fall_height_m: raw.min_height_m,
-            torque_limits,
-        };
+        let mjcf = path.parent().unwrap_or(Path::new("")).join(raw.mjcf);
+        let joints = raw.joints.map(|legs| legs.in_order().into_iter().flatten().collect());
+        let feet = raw.feet.map(Legs::in_order);
+        let description = Description { mjcf, joints, feet, pose, fall_height_m: raw.min_height_m, torque_limits };
         Ok((description, raw.weld))
     }
 
@@ -113,9 +109,7 @@ impl Description {
             if let Some(first) = (0..index).find(|first| joints[*first] == joints[index]) {
                 return Err(RobotError::JointTwice { name: name(), first, second: index });
             }
-            if !model.is_hinge(joints[index]) {
-                return Err(RobotError::NoHinge { name: name(), joint: index });
-            }
+            ensure!(model.is_hinge(joints[index]), RobotError::NoHinge { name: name(), joint: index });
         }
         Ok(joints)
     }

@@ -52,10 +52,8 @@ struct Classes<'a> {
 impl<'a> Classes<'a> {
     fn new(tree: &'a Element) -> Self {
         let first = tree.all("default").next();
-        let mut classes = Classes {
-            top: first.and_then(|class| class.get("class")).unwrap_or("main").to_owned(),
-            ..Classes::default()
-        };
+        let top = first.and_then(|class| class.get("class")).unwrap_or("main").to_owned();
+        let mut classes = Classes { top, ..Classes::default() };
         for section in tree.all("default") {
             let top = classes.top.clone();
             classes.read(section, top, None);
@@ -136,14 +134,8 @@ pub(super) fn translate(tree: &Element, files: &Files) -> Result<Translated, Rob
         sequence: setting("eulerseq").unwrap_or("xyz").to_owned(),
     };
     let autolimits = setting("autolimits") != Some("false");
-    let mut translator = Translator {
-        files,
-        classes: Classes::new(tree),
-        angles,
-        autolimits,
-        translated: Translated::default(),
-        left_out: Vec::new(),
-    };
+    let (classes, translated) = (Classes::new(tree), Translated::default());
+    let mut translator = Translator { files, classes, angles, autolimits, translated, left_out: Vec::new() };
     let mut root = Element { children: Vec::new(), ..tree.clone() };
     root.attributes.clear();
     for section in &tree.children {
@@ -178,9 +170,7 @@ impl Translator<'_> {
         if LEFT_OUT_SECTIONS.contains(&name) {
             return Ok(None);
         }
-        if !SECTIONS.contains(&name) {
-            return Err(self.unknown(section, &format!("<{name}>")));
-        }
+        ensure!(SECTIONS.contains(&name), self.unknown(section, &format!("<{name}>")));
         let mut own = Element { children: Vec::new(), ..section.clone() };
         match name {
             "compiler" => self.compiler(&mut own)?,
@@ -401,13 +391,10 @@ impl Translator<'_> {
     fn write_out(&self, element: &mut Element, class: &str) -> Result<(), RobotError> {
         for turn in ["euler", "zaxis", "xyaxes", "axisangle"] {
             if self.classes.get(&element.name, &self.classes.top, turn).is_some() {
-                return Err(RobotError::Attribute {
-                    at: self.files.at(element),
-                    attribute: turn,
-                    element: format!("the top-level <default>'s <{}>", element.name),
-                    found: self.classes.get(&element.name, &self.classes.top, turn).unwrap_or_default().to_owned(),
-                    expected: "none where a <frame> turns elements: write it as quat",
-                });
+                let found = self.classes.get(&element.name, &self.classes.top, turn).unwrap_or_default().to_owned();
+                let (at, element) = (self.files.at(element), format!("the top-level <default>'s <{}>", element.name));
+                let expected = "none where a <frame> turns elements: write it as quat";
+                return Err(RobotError::Attribute { at, attribute: turn, element, found, expected });
             }
         }
         let kind = element.name.clone();
@@ -585,13 +572,9 @@ impl Translator<'_> {
             turn = turned(angles.map(|angle| angle * self.angles.unit), &self.angles.sequence);
         }
         if !turn.coords.iter().all(|number| number.is_finite()) {
-            return Err(RobotError::Attribute {
-                at: self.files.at(of.element),
-                attribute: "orientation",
-                element: described(of.element),
-                found: "no direction".to_owned(),
-                expected: "axes longer than zero",
-            });
+            let (at, element, found) = (self.files.at(of.element), described(of.element), "no direction".to_owned());
+            let expected = "axes longer than zero";
+            return Err(RobotError::Attribute { at, attribute: "orientation", element, found, expected });
         }
         Ok(Isometry3::from_parts(place.into(), turn))
     }

@@ -62,7 +62,7 @@ pub(super) fn adapt(source: &Source) -> Result<Imported, RobotError> {
     let file = std::path::absolute(&description.mjcf)?;
     let folder = file.parent().unwrap_or(Path::new(""));
     let translated = if source.is_urdf() {
-        urdf::translate(&source.tree, files, &source.weld, folder)?
+        urdf::read(&source.tree, files, &source.weld, folder)?
     } else {
         newer::translate(&source.tree, files)?
     };
@@ -214,9 +214,7 @@ impl<'a> Survey<'a> {
             })
             .map(name)
             .collect();
-        if !others.is_empty() {
-            return Err(RobotError::OtherJoints(others.join(", ")));
-        }
+        ensure!(others.is_empty(), RobotError::OtherJoints(others.join(", ")));
         let mut geoms = vec![Vec::new(); model.count(Object::Body)];
         for geom in 0..model.count(Object::Geom) {
             geoms[model.geom_body(geom)].push((geom, model.geom_contact(geom)));
@@ -347,9 +345,7 @@ impl<'a> Survey<'a> {
             GeomShape::HeightField(_) => "height field",
             _ => "",
         };
-        if !shape.is_empty() {
-            return Err(RobotError::Ground { at: self.files.at(element), shape });
-        }
+        ensure!(shape.is_empty(), RobotError::Ground { at: self.files.at(element), shape });
         element.remove("name");
         if let Some(leg) = self.feet.iter().position(|foot| *foot == geom) {
             element.set("name", format!("{}_foot", LEGS[leg]));

@@ -64,9 +64,7 @@ impl Source {
         let mut reader = Reader { given: path, folder, files: Files::default(), elements: 0 };
         let tree = reader.read(&description.mjcf)?;
         let files = reader.files;
-        if !matches!(tree.name.as_str(), "mujoco" | "robot") {
-            return Err(RobotError::Root(tree.name));
-        }
+        ensure!(matches!(tree.name.as_str(), "mujoco" | "robot"), RobotError::Root(tree.name));
         let mut taken = tree.clone();
         taken.children.retain(|child| !LEFT_OUT_SECTIONS.contains(&child.name.as_str()));
         check_sizes(&taken)?;
@@ -112,12 +110,8 @@ fn check_finite(element: &Element, files: &Files) -> Result<(), RobotError> {
     for (name, value) in element.attributes.iter().filter(|(name, _)| name != "name") {
         let numbers: Result<Vec<f64>, _> = value.split_whitespace().map(str::parse).collect();
         if numbers.is_ok_and(|numbers| !numbers.iter().all(|number| number.is_finite())) {
-            return Err(RobotError::NotFinite {
-                at: files.at(element),
-                attribute: name.clone(),
-                element: element.name.clone(),
-                found: value.clone(),
-            });
+            let (attribute, element_name, found) = (name.clone(), element.name.clone(), value.clone());
+            return Err(RobotError::NotFinite { at: files.at(element), attribute, element: element_name, found });
         }
     }
     element.children.iter().try_for_each(|child| check_finite(child, files))
@@ -135,9 +129,7 @@ struct Reader<'a> {
 impl Reader<'_> {
     fn read(&mut self, path: &Path) -> Result<Element, RobotError> {
         let number = self.files.0.len();
-        if number == MAX_FILES {
-            return Err(RobotError::TooMany { what: "files", most: MAX_FILES });
-        }
+        ensure!(number < MAX_FILES, RobotError::TooMany { what: "files", most: MAX_FILES });
         let given = path == self.given;
         self.files.0.push(if given { String::new() } else { path.display().to_string() });
         let fail = |error: RobotError| {
@@ -152,18 +144,14 @@ impl Reader<'_> {
         } else {
             self.include(&mut root)?;
         }
-        if self.elements > MAX_ELEMENTS {
-            return Err(RobotError::TooMany { what: "elements", most: MAX_ELEMENTS });
-        }
+        ensure!(self.elements <= MAX_ELEMENTS, RobotError::TooMany { what: "elements", most: MAX_ELEMENTS });
         Ok(root)
     }
 
     /// Replaces each `include` element by the content of its file.
     fn include(&mut self, element: &mut Element) -> Result<(), RobotError> {
         self.elements += 1;
-        if self.elements > MAX_ELEMENTS {
-            return Err(RobotError::TooMany { what: "elements", most: MAX_ELEMENTS });
-        }
+        ensure!(self.elements <= MAX_ELEMENTS, RobotError::TooMany { what: "elements", most: MAX_ELEMENTS });
         let mut children = Vec::with_capacity(element.children.len());
         for mut child in std::mem::take(&mut element.children) {
             if child.name == "include" {

@@ -37,9 +37,7 @@ pub(super) fn torque_limits(
             (Some(range), None) | (None, Some(range)) => range,
             (None, None) => return Err(RobotError::NoTorque(name.to_owned())),
         };
-        if !(low < 0.0 && high > 0.0) {
-            return Err(RobotError::one_sided(name, [low, high]));
-        }
+        ensure!(low < 0.0 && high > 0.0, RobotError::one_sided(name, [low, high]));
         *limit = high.min(-low);
         if (high + low).abs() > 1e-9 * high {
             let (low, high, limit) = (short(low), short(high), short(*limit));

@@ -24,17 +24,10 @@ use crate::util::xml::{Element, Place};
 const WORLD: &str = "world";
 
 /// Reads a URDF in a folder and writes it as MJCF.
-pub(super) fn translate(
-    tree: &Element,
-    files: &Files,
-    weld: &[String],
-    folder: &Path,
-) -> Result<Translated, RobotError> {
+pub(super) fn read(tree: &Element, files: &Files, weld: &[String], folder: &Path) -> Result<Translated, RobotError> {
     let is_xacro =
         |child: &Element| matches!(child.name.as_str(), "include" | "macro" | "property" | "arg" | "if" | "unless");
-    if tree.children.iter().any(is_xacro) {
-        return Err(RobotError::Xacro);
-    }
+    ensure!(!tree.children.iter().any(is_xacro), RobotError::Xacro);
     let (mut robot, meshes) = without_meshes(tree);
     let mut notes = vec!["file: a URDF, read by MuJoCo, with a free joint for its trunk".to_owned()];
     if !weld.is_empty() {
@@ -53,9 +46,7 @@ pub(super) fn translate(
     share_masses(&mut robot);
     robot.children.insert(0, Element { children: vec![compiler], ..Element::new("mujoco") });
     let model = load(&robot, files).or_else(|error| {
-        if !error.to_string().contains("balanceinertia") {
-            return Err(error);
-        }
+        ensure!(error.to_string().contains("balanceinertia"), error);
         // Moments of inertia that are rounded, or invented for a sensor, may be impossible.
         robot.children[0].children[0].set("balanceinertia", "true");
         load(&robot, files)

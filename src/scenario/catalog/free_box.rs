@@ -42,13 +42,8 @@ impl Parameters for FreeBox {
             mass = self.mass_kg,
             friction = self.friction,
         );
-        script.goal = Some(Goal {
-            from: Some("box"),
-            ahead_m: 0.5 * self.size_m,
-            half_width_m: f64::INFINITY,
-            text: "got past the box",
-            is_end: false,
-        });
+        let (from, ahead_m, text) = (Some("box"), 0.5 * self.size_m, "got past the box");
+        script.goal = Some(Goal { from, ahead_m, half_width_m: f64::INFINITY, text, is_end: false });
         script.scene.buffers = Buffers { contacts: 100, rows: 500, stack: 200_000 };
         Ok(())
     }

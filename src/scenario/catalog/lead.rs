@@ -33,15 +33,11 @@ impl Parameters for Lead {
         let direction = towards(self.direction_deg);
         // The hand goes along with the commanded walk.
         let walk_m_s = self.task.forward_m_s * direction[0] + self.task.left_m_s * direction[1];
-        script.disturbances.push(Disturbance::Spring(Spring {
-            end: SpringEnd::Hand,
-            from_s: self.at_s,
-            direction,
-            speed_m_s: walk_m_s + self.speed_m_s,
-            gap_m: self.slack_m,
-            stiffness_n_per_m: self.stiffness_n_per_m,
-            damping_n_s_per_m: self.damping_n_s_per_m,
-        }));
+        let (from_s, speed_m_s, gap_m) = (self.at_s, walk_m_s + self.speed_m_s, self.slack_m);
+        let Lead { stiffness_n_per_m, damping_n_s_per_m, .. } = *self;
+        let end = SpringEnd::Hand;
+        let leash = Spring { end, from_s, direction, speed_m_s, gap_m, stiffness_n_per_m, damping_n_s_per_m };
+        script.disturbances.push(Disturbance::Spring(leash));
         Ok(())
     }
 

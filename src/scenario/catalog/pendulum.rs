@@ -84,26 +84,12 @@ impl Pendulum {
         let lowest_m = -(trunk_m + self.radius_m);
         let away_m = (self.string_m.powi(2) - (self.string_m - self.release_height_m).powi(2)).sqrt();
         let at = |along: f64, height: f64| [ahead * along, left * along, height];
-        Rig {
-            from: None,
-            holders: vec![Holder {
-                name: "pivot".into(),
-                place: at(lowest_m, self.string_m),
-                radius_m: 0.025,
-                has_post: false,
-            }],
-            load: Load {
-                name: "ball".into(),
-                place: at(lowest_m - away_m, self.release_height_m),
-                mass_kg: self.mass_kg,
-                shape: LoadShape::Ball(self.radius_m),
-            },
-            is_level_with_trunk: true,
-            slack_m: 0.0,
-            lead_s: self.fall_s(),
-            release_s: self.at_s,
-            until_s: f64::INFINITY,
-        }
+        let place = at(lowest_m, self.string_m);
+        let pivot = Holder { name: "pivot".into(), place, radius_m: 0.025, has_post: false };
+        let (place, shape) = (at(lowest_m - away_m, self.release_height_m), LoadShape::Ball(self.radius_m));
+        let (holders, load) = (vec![pivot], Load { name: "ball".into(), place, mass_kg: self.mass_kg, shape });
+        let (lead_s, release_s, until_s) = (self.fall_s(), self.at_s, f64::INFINITY);
+        Rig { from: None, holders, load, is_level_with_trunk: true, slack_m: 0.0, lead_s, release_s, until_s }
     }
 }
 

@@ -57,18 +57,14 @@ impl Pulley {
         let at = |distance: f64, height: f64| [ahead * distance, left * distance, height];
         let pulley =
             |name: &'static str, place, has_post| Holder { name: name.into(), place, radius_m: 0.04, has_post };
+        let (place, shape) = (at(upper_m, self.start_height_m()), LoadShape::Cube(self.half_edge_m()));
         Rig {
             from: Some(HARNESS.into()),
             holders: vec![
                 pulley("pulley", at(self.distance_m, self.height_m), false),
                 pulley("upper_pulley", at(upper_m, self.upper_height_m()), true),
             ],
-            load: Load {
-                name: "weight".into(),
-                place: at(upper_m, self.start_height_m()),
-                mass_kg: self.mass_kg,
-                shape: LoadShape::Cube(self.half_edge_m()),
-            },
+            load: Load { name: "weight".into(), place, mass_kg: self.mass_kg, shape },
             is_level_with_trunk: false,
             slack_m: self.slack_m,
             lead_s: 0.5 * self.for_s,

@@ -33,11 +33,8 @@ impl Parameters for PushTrunk {
         if self.every_s != 0.0 {
             in_range("every-s", self.every_s, 0.1, 3600.0, "0.1 to 3600 s, or 0 for a single push")?;
         }
-        let mut push = Push {
-            linear: towards(self.direction_deg).map(|part| self.push_m_s * part),
-            for_s: self.for_s,
-            ..Push::default()
-        };
+        let linear = towards(self.direction_deg).map(|part| self.push_m_s * part);
+        let mut push = Push { linear, for_s: self.for_s, ..Push::default() };
         let growth = towards(self.direction_deg).map(|part| self.growth_m_s * part);
         // A push may come at any phase of the gait.
         let phase_s = PHASE_S * stream(seed, Purpose::Scenario, 0, 0).random_range(0.0..1.0);

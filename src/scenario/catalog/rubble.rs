@@ -159,13 +159,8 @@ impl Parameters for Rubble {
         script.scene.solver = r#"solver="CG" iterations="30""#;
         script.scene.buffers =
             Buffers { contacts, rows: 4 * contacts, stack: 2_000_000 + 100_000 * self.blocks as usize };
-        script.goal = Some(Goal {
-            from: None,
-            ahead_m: self.far_edge_m(),
-            half_width_m: 0.5 * self.width_m,
-            text: "got across the rubble",
-            is_end: true,
-        });
+        let (ahead_m, half_width_m) = (self.far_edge_m(), 0.5 * self.width_m);
+        script.goal = Some(Goal { from: None, ahead_m, half_width_m, text: "got across the rubble", is_end: true });
         Ok(())
     }
 

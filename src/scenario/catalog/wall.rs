@@ -24,15 +24,10 @@ parameters! {
 impl Parameters for Wall {
     fn prepare(&self, script: &mut Script, _: u64) -> Result<(), ParameterError> {
         self.check_ranges()?;
-        script.disturbances.push(Disturbance::Spring(Spring {
-            end: SpringEnd::Wall,
-            from_s: 0.0,
-            direction: [-1.0, 0.0],
-            speed_m_s: 0.0,
-            gap_m: self.distance_m,
-            stiffness_n_per_m: self.stiffness_n_per_m,
-            damping_n_s_per_m: self.damping_n_s_per_m,
-        }));
+        let Wall { distance_m: gap_m, stiffness_n_per_m, damping_n_s_per_m, .. } = *self;
+        let (end, from_s, direction, speed_m_s) = (SpringEnd::Wall, 0.0, [-1.0, 0.0], 0.0);
+        let wall = Spring { end, from_s, direction, speed_m_s, gap_m, stiffness_n_per_m, damping_n_s_per_m };
+        script.disturbances.push(Disturbance::Spring(wall));
         Ok(())
     }
 

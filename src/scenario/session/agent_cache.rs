@@ -32,13 +32,8 @@ impl AgentCache {
         let (mut agent, file) = AgentCache::read(policy)?;
         let robot = Robot::load(robot.unwrap_or(&agent.config.robot.model))?;
         agent.run_on(&robot);
-        let seat = Seat {
-            policy: policy.to_owned(),
-            sha256: agent.sha256.clone(),
-            robot: robot.name.clone(),
-            robot_sha256: robot.sha256().to_owned(),
-            compliance,
-        };
+        let (sha256, robot_sha256) = (agent.sha256.clone(), robot.sha256().to_owned());
+        let seat = Seat { policy: policy.to_owned(), sha256, robot: robot.name.clone(), robot_sha256, compliance };
         self.put(agent, file);
         Ok(seat)
     }

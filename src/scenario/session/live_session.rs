@@ -86,14 +86,15 @@ impl LiveSession {
         *self = next.starting_at(self.tick());
     }
 
-    /// Returns the present setup.
-    pub fn setup(&self) -> &Setup {
-        &self.setup
-    }
-
-    /// Iterates over the scene of each robot.
-    pub fn scenes(&self) -> impl Iterator<Item = &Scene> {
-        self.players.iter().map(|player| &player.script.scene)
+    methods! {
+        /// Returns the present setup.
+        fn setup(&self) -> &Setup = &self.setup;
+        /// Iterates over the scene of each robot.
+        fn scenes(&self) -> impl Iterator<Item = &Scene> = self.players.iter().map(|player| &player.script.scene);
+        /// Iterates over the number of falls of each robot.
+        fn falls(&self) -> impl Iterator<Item = u32> = self.players.iter().map(|player| player.falls);
+        /// Returns the tick at which the next step begins.
+        fn tick(&self) -> u64 = self.since + self.players.iter().map(Player::due).min().unwrap_or(0);
     }
 
     /// Iterates over weight \[N\] and policy period \[s\] of each robot, for [`LiveReadout`](super::LiveReadout).
@@ -121,11 +122,6 @@ impl LiveSession {
         self.players.iter().map(|player| player.script.scene.robot.mass_kg)
     }
 
-    /// Iterates over the number of falls of each robot.
-    pub fn falls(&self) -> impl Iterator<Item = u32> + '_ {
-        self.players.iter().map(|player| player.falls)
-    }
-
     /// Returns the largest commands that all policies were trained for.
     pub fn range(&self) -> Command {
         let ranges = self.players.iter().map(|player| &player.agent.config.command);
@@ -134,11 +130,6 @@ impl LiveSession {
             [forward.min(range.forward_m_s), left.min(range.left_m_s), yaw.min(range.yaw_rad_s)]
         });
         Command::velocity(forward, left, yaw)
-    }
-
-    /// Returns the tick at which the next step begins.
-    pub fn tick(&self) -> u64 {
-        self.since + self.players.iter().map(Player::due).min().unwrap_or(0)
     }
 
     /// Applies an input, which takes effect with the next step of each robot.
@@ -154,9 +145,7 @@ impl LiveSession {
                 let mut renewed = Seat { sha256: sha256.clone(), ..seat.clone() };
                 let agent = shelf.renewed(&renewed)?;
                 renewed.compliance = agent.resolve_compliance(seat.compliance, None).unwrap_or(None);
-                if agent.config.simulation != player.agent.config.simulation {
-                    return Err(SessionError::OtherBody);
-                }
+                ensure!(agent.config.simulation == player.agent.config.simulation, SessionError::OtherBody);
                 player.rollout.hand_over(agent.shared_controller());
                 player.rollout.ask(Command { compliance: renewed.compliance, ..*player.rollout.command() });
                 *seat = renewed;
@@ -168,9 +157,7 @@ impl LiveSession {
     }
 
     fn act(&mut self, act: &Act) -> Result<(), SessionError> {
-        if !act.is_finite() {
-            return Err(SessionError::NotFinite);
-        }
+        ensure!(act.is_finite(), SessionError::NotFinite);
         match act {
             Act::Command(command) => self.rollouts().for_each(|rollout| {
                 rollout.ask(Command { compliance: rollout.command().compliance, ..*command });

@@ -206,19 +206,17 @@ impl LiveReadout {
         let pull = self.pulled.map(|force| {
             let force_n = force[0].hypot(force[1]);
             let along = |frame: &Frame| {
-                let [forward, left] = [
-                    frame.velocity_in_heading[0] - frame.command.forward,
-                    frame.velocity_in_heading[1] - frame.command.left,
-                ];
+                let [forward, left, _] = frame.velocity_in_heading;
+                let (forward, left) = (forward - frame.command.forward, left - frame.command.left);
                 (forward * force[0] + left * force[1]) / force_n.max(f64::MIN_POSITIVE)
             };
             PullReading { force_n, gives_m_s: metrics::mean(stride(), along).unwrap_or_default() }
         });
         Some(Reading {
             velocity: [
-                mean(|frame| frame.velocity_in_heading[0]),
-                mean(|frame| frame.velocity_in_heading[1]),
-                mean(|frame| frame.yaw_rate),
+                mean(|it| it.velocity_in_heading[0]),
+                mean(|it| it.velocity_in_heading[1]),
+                mean(|it| it.yaw_rate),
             ],
             command: [command.forward, command.left, command.yaw],
             power_w: metrics::mean(metrics::window(trace, last.time_s - 1.0, last.time_s), |frame| frame.power_w)?,
@@ -231,13 +229,7 @@ impl LiveReadout {
 
 /// Copies the parts of a frame that the readout needs.
 fn light(frame: &Frame) -> Frame {
-    Frame {
-        time_s: frame.time_s,
-        command: frame.command,
-        felt: frame.felt,
-        velocity_in_heading: frame.velocity_in_heading,
-        yaw_rate: frame.yaw_rate,
-        power_w: frame.power_w,
-        ..Frame::default()
-    }
+    let (time_s, command, velocity_in_heading) = (frame.time_s, frame.command, frame.velocity_in_heading);
+    let (yaw_rate, power_w) = (frame.yaw_rate, frame.power_w);
+    Frame { time_s, command, felt: frame.felt, velocity_in_heading, yaw_rate, power_w, ..Frame::default() }
 }

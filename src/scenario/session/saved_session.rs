@@ -126,9 +126,7 @@ impl Writer {
         // The part begins with the last setup at or before `from`.
         let last = self.setups.iter().rev().find(|(tick, _)| from.is_some() && *tick <= from_tick);
         let (since, begin) = last.copied().unwrap_or((0, 0));
-        if end - since > LONGEST {
-            return Err(io::Error::other(format!("it is longer than {LONGEST_DAYS} days")));
-        }
+        ensure!(end - since <= LONGEST, io::Error::other(format!("it is longer than {LONGEST_DAYS} days")));
         let program = provenance::revision_and_mujoco();
         let first = serde_json::to_string(&Line::Session { format: FORMAT, program, from_tick })?;
         let last = serde_json::to_string(&Line::End { tick: end, state })?;
@@ -199,13 +197,8 @@ impl SavedSession {
     pub fn load(path: &Path) -> Result<Self, SessionError> {
         let fail = FileError::of(SESSION, path);
         let mut reader = BufReader::new(files::open(path).map_err(fail)?);
-        let mut session = SavedSession {
-            program: String::new(),
-            from_tick: 0,
-            end: None,
-            inputs: Vec::new(),
-            shelf: AgentCache::default(),
-        };
+        let (program, shelf) = (String::new(), AgentCache::default());
+        let mut session = SavedSession { program, from_tick: 0, end: None, inputs: Vec::new(), shelf };
         let mut text = String::new();
         for number in 1_u64.. {
             text.clear();
@@ -239,9 +232,7 @@ impl SavedSession {
     fn add(&mut self, number: u64, line: Line) -> Result<(), String> {
         match line {
             Line::Session { format, program, from_tick } if number == 1 => {
-                if format != FORMAT {
-                    return Err(format!("it has format {format}, this program reads {FORMAT}"));
-                }
+                ensure!(format == FORMAT, "it has format {format}, this program reads {FORMAT}");
                 (self.program, self.from_tick) = (program, from_tick);
             }
             _ if number == 1 => return Err("it does not say that it is a session".to_owned()),
@@ -253,9 +244,7 @@ impl SavedSession {
                 }
                 let Some(file) = file else { return Ok(()) };
                 let bytes = bytes(&file).ok_or("the policy's file is not in hexadecimal")?;
-                if crate::util::files::sha256(&[&bytes]) != sha256 {
-                    return Err(format!("the policy '{name}' is damaged"));
-                }
+                ensure!(crate::util::files::sha256(&[&bytes]) == sha256, "the policy '{name}' is damaged");
                 self.shelf.put_file(&name, bytes).map_err(|error| error.to_string())?;
             }
             Line::Input { tick, input } => {

@@ -286,49 +286,29 @@ impl LocomotionEnv {
         }
     }
 
-    /// Returns the environment's index in the run.
-    pub fn index(&self) -> u64 {
-        self.index
-    }
-
-    /// Returns the memory of the simulation \[bytes\].
-    pub fn simulation_bytes(&self) -> usize {
-        self.world.sim().data().bytes()
-    }
-
-    /// Returns the random part of this episode without its disturbances: those are in the world.
-    pub fn plan(&self) -> &EpisodePlan {
-        &self.progress.plan
-    }
-
-    /// Returns the velocity command of the episode.
-    pub fn command(&self) -> &Command {
-        &self.progress.plan.command
-    }
-
-    /// Returns the layout of the observation.
-    pub fn layout(&self) -> &Layout {
-        &self.shared.layout
-    }
-
-    /// Returns the numbers of inputs of the policy and of the value function.
-    pub fn inputs(&self) -> [usize; 2] {
-        self.shared.inputs()
-    }
-
-    /// Returns the layout of what the critic observes in addition; `None` if it observes what the policy does.
-    pub fn critic_layout(&self) -> Option<&Layout> {
-        self.shared.critic.as_deref()
-    }
-
-    /// Returns the present observation in physical units, shape (length of the layout).
-    pub fn observation(&self) -> Vec<f64> {
-        self.progress.observer.raw(&self.shared.layout)
-    }
-
-    /// Writes the present observation, normalised for the networks, into a slice of the layout's length.
-    pub fn normalised_observation(&self, out: &mut [f32]) {
-        self.progress.observer.normalised(&self.shared.layout, out);
+    methods! {
+        /// Returns the environment's index in the run.
+        fn index(&self) -> u64 = self.index;
+        /// Returns the memory of the simulation \[bytes\].
+        fn simulation_bytes(&self) -> usize = self.world.sim().data().bytes();
+        /// Returns the random part of this episode without its disturbances: those are in the world.
+        fn plan(&self) -> &EpisodePlan = &self.progress.plan;
+        /// Returns the velocity command of the episode.
+        fn command(&self) -> &Command = &self.progress.plan.command;
+        /// Returns the layout of the observation.
+        fn layout(&self) -> &Layout = &self.shared.layout;
+        /// Returns the numbers of inputs of the policy and of the value function.
+        fn inputs(&self) -> [usize; 2] = self.shared.inputs();
+        /// Returns the layout of what the critic observes in addition; `None` if it observes what the policy does.
+        fn critic_layout(&self) -> Option<&Layout> = self.shared.critic.as_deref();
+        /// Returns the present observation in physical units, shape (length of the layout).
+        fn observation(&self) -> Vec<f64> = self.progress.observer.raw(&self.shared.layout);
+        /// Writes the present observation, normalised for the networks, into a slice of the layout's length.
+        fn normalised_observation(&self, out: &mut [f32]) = self.progress.observer.normalised(&self.shared.layout, out);
+        /// Returns the world: the robot, and what disturbs it.
+        fn world(&self) -> &World = &self.world;
+        /// Returns the simulation, to be inspected or disturbed.
+        fn sim_mut(&mut self) -> &mut Sim = self.world.sim_mut();
     }
 
     /// Writes the present observation of the critic, normalised: the policy's, then what the critic observes in
@@ -355,13 +335,9 @@ impl LocomotionEnv {
         match self.try_step(action) {
             Ok((step, report)) => (step, report),
             Err(error) => {
-                let fault = EpisodeFault {
-                    error: error.to_string(),
-                    environment: self.index,
-                    episode: self.progress.episode,
-                    step: self.world.steps(),
-                    last_second: self.last_second.csv(),
-                };
+                let (error, episode, step) = (error.to_string(), self.progress.episode, self.world.steps());
+                let last_second = self.last_second.csv();
+                let fault = EpisodeFault { error, environment: self.index, episode, step, last_second };
                 let stage = self.stages.at(self.world.steps());
                 let step = EnvStep { reward: 0.0, end: Some(EpisodeEnd::Fault), stage, terms: Terms::default() };
                 (step, Some(self.report(EpisodeEnd::Fault, Some(Box::new(fault)))))
@@ -418,27 +394,12 @@ impl LocomotionEnv {
     fn report(&self, end: EpisodeEnd, fault: Option<Box<EpisodeFault>>) -> EpisodeReport {
         let p = &self.progress;
         let walked = self.world.steps() >= self.stages.recovery_start;
-        EpisodeReport {
-            end,
-            steps: self.world.steps(),
-            pushed: p.plan.is_pushed && self.world.steps() > self.stages.recovery_start,
-            reward: p.reward,
-            terms: p.terms,
-            walking_linear: walked.then(|| p.walking.linear_velocity() / self.stages.recovery_start as f64),
-            terrain_level: p.course.map(|course| course.level),
-            swing_height_m: (p.swing_count > 0).then(|| p.swing_sum_m / p.swing_count as f64),
-            fault,
-        }
-    }
-
-    /// Returns the world: the robot, and what disturbs it.
-    pub fn world(&self) -> &World {
-        &self.world
-    }
-
-    /// Returns the simulation, to be inspected or disturbed.
-    pub fn sim_mut(&mut self) -> &mut Sim {
-        self.world.sim_mut()
+        let (steps, pushed) = (self.world.steps(), p.plan.is_pushed && self.world.steps() > self.stages.recovery_start);
+        let (reward, terms) = (p.reward, p.terms);
+        let walking_linear = walked.then(|| p.walking.linear_velocity() / self.stages.recovery_start as f64);
+        let terrain_level = p.course.map(|course| course.level);
+        let swing_height_m = (p.swing_count > 0).then(|| p.swing_sum_m / p.swing_count as f64);
+        EpisodeReport { end, steps, pushed, reward, terms, walking_linear, terrain_level, swing_height_m, fault }
     }
 
     /// Replaces the observation by another one of the same quantities.

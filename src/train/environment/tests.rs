@@ -199,13 +199,8 @@ fn with_all() -> Config {
     let mut config = Config::load("real").unwrap();
     config.pulls = Some(pulls());
     config.held_feet.as_mut().unwrap().gap_s = [0.1, 0.3];
-    config.terrain = Some(Terrain {
-        environments: 1.0,
-        levels: 3,
-        rough_m: [0.01, 0.06],
-        boxes_m: [0.02, 0.08],
-        sharpness_factor: 0.33,
-    });
+    let (rough_m, boxes_m) = ([0.01, 0.06], [0.02, 0.08]);
+    config.terrain = Some(Terrain { environments: 1.0, levels: 3, rough_m, boxes_m, sharpness_factor: 0.33 });
     config
 }
 

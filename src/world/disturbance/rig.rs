@@ -284,12 +284,8 @@ impl Memory {
         let sites = if self.phase == Phase::Off { &[] } else { self.sites.as_slice() };
         let forces = std::mem::take(&mut self.forces);
         let point = |site: &usize| std::array::from_fn(|k| data.site_positions()[3 * site + k] as f32);
-        Rope {
-            points: sites.iter().map(point).collect(),
-            force_n: forces.mean_n(),
-            peak_force_n: forces.peak_n,
-            least_force_n: forces.least_n,
-        }
+        let points = sites.iter().map(point).collect();
+        Rope { points, force_n: forces.mean_n(), peak_force_n: forces.peak_n, least_force_n: forces.least_n }
     }
 
     /// Places holders and load around the robot's predicted position, at rest, with the load's weight carried.

@@ -152,15 +152,9 @@ mod tests {
 
     /// Creates a leash of 0.2 m that is led to the left at 0.5 m/s from 0 s on.
     fn leash() -> Spring {
-        Spring {
-            end: SpringEnd::Hand,
-            from_s: 0.0,
-            direction: [0.0, 1.0],
-            speed_m_s: 0.5,
-            gap_m: 0.2,
-            stiffness_n_per_m: 200.0,
-            damping_n_s_per_m: 20.0,
-        }
+        let (direction, speed_m_s, gap_m) = ([0.0, 1.0], 0.5, 0.2);
+        let (stiffness_n_per_m, damping_n_s_per_m) = (200.0, 20.0);
+        Spring { end: SpringEnd::Hand, from_s: 0.0, direction, speed_m_s, gap_m, stiffness_n_per_m, damping_n_s_per_m }
     }
 
     fn state() -> Memory {
@@ -191,15 +185,10 @@ mod tests {
 
     #[test]
     fn walls_press_but_do_not_hold() {
-        let wall = Spring {
-            end: SpringEnd::Wall,
-            direction: [-1.0, 0.0],
-            speed_m_s: 0.0,
-            gap_m: 2.0,
-            stiffness_n_per_m: 700.0,
-            damping_n_s_per_m: 4.0,
-            ..leash()
-        };
+        let (direction, speed_m_s, gap_m, stiffness_n_per_m) = ([-1.0, 0.0], 0.0, 2.0, 700.0);
+        let damping_n_s_per_m = 4.0;
+        let leash = Spring { direction, speed_m_s, gap_m, stiffness_n_per_m, damping_n_s_per_m, ..leash() };
+        let wall = Spring { end: SpringEnd::Wall, ..leash };
         // Its direction is back: a robot at x is at −x along it.
         let mut state = state();
         let mut at = |time_s: f64, x: f64| state.force_n(&wall, time_s, -x, STEP_S);

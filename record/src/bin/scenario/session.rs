@@ -48,11 +48,6 @@ fn name(take: &Take) -> String {
 }
 
 fn outcome<'a>(take: &'a Take, name: &'a str) -> Outcome<'a> {
-    Outcome {
-        policy: name,
-        sha256: take.seat.sha256.clone(),
-        robot: &take.seat.robot,
-        trace: &take.trace,
-        metrics: take.metrics(),
-    }
+    let Take { seat, trace, .. } = take;
+    Outcome { policy: name, sha256: seat.sha256.clone(), robot: &seat.robot, trace, metrics: take.metrics() }
 }

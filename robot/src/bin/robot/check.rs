@@ -70,9 +70,6 @@ pub struct Rehearse {
     /// Commanded compliance (m/s/N) [default: the policy's own]
     #[arg(long, value_name = "C")]
     compliance: Option<f64>,
-    /// Physics rate (Hz), a multiple of 500
-    #[arg(long, value_name = "HZ", default_value_t = 1000)]
-    physics_hz: u32,
     /// Print one JSON object on stdout and nothing else there
     #[arg(long)]
     json: bool,
@@ -83,7 +80,7 @@ pub fn run_rehearsal(args: &Rehearse) -> Result<()> {
     let agent = shipped::find(&args.policy)?;
     let compliance = agent.resolve_compliance(None, args.compliance).with_context(|| args.policy.clone())?;
     let scenario = scenario(&args.scenario, &args.set)?;
-    let rehearsal = rehearse(&agent, &scenario, args.seed, compliance, args.physics_hz)?;
+    let rehearsal = rehearse(&agent, &scenario, args.seed, compliance)?;
     if args.json {
         let metrics = by_name(&rehearsal.metrics, Metric::to_json);
         let object = serde_json::json!({

@@ -69,13 +69,8 @@ impl PanelBlock {
             for (column, (c, y)) in columns {
                 stretches.clear();
                 let (slice, column_of_slice) = (column * PANEL / SLICE, column % (SLICE / PANEL));
-                let of_column = slices.iter().skip(slice).step_by(slices[0].per_panel());
-                stretches.extend(
-                    after[0]
-                        .panels()
-                        .zip(of_column)
-                        .map(|(a, slice)| Stretch { a, b: slice.transposed(column_of_slice) }),
-                );
+                let pairs = after[0].panels().zip(slices.iter().skip(slice).step_by(slices[0].per_panel()));
+                stretches.extend(pairs.map(|(a, slice)| Stretch { a, b: slice.transposed(column_of_slice) }));
                 let (columns, ends) = (slices[0].inputs - column * PANEL, Ends::EluSlope { y });
                 let columns = columns.min(PANEL);
                 let product = Product { rows: self.rows, columns, stretches: &stretches, a_transposed: false, ends, c };

@@ -68,24 +68,18 @@ impl Slice {
         slice
     }
 
-    /// Returns the number of slices of each panel of the layer.
-    pub fn per_panel(&self) -> usize {
-        self.inputs.div_ceil(SLICE)
-    }
-
     /// Returns the number of inputs.
     fn own_inputs(&self) -> usize {
         SLICE.min(self.inputs - self.from)
     }
 
-    /// Returns true if the last row is the bias.
-    pub fn has_bias(&self) -> bool {
-        self.from + SLICE >= self.inputs
-    }
-
-    /// Returns the number of outputs, without padding.
-    pub fn outputs(&self) -> usize {
-        panel_outputs(self.layer_outputs, self.first)
+    methods! {
+        /// Returns the number of slices of each panel of the layer.
+        fn per_panel(&self) -> usize = self.inputs.div_ceil(SLICE);
+        /// Returns true if the last row is the bias.
+        fn has_bias(&self) -> bool = self.from + SLICE >= self.inputs;
+        /// Returns the number of outputs, without padding.
+        fn outputs(&self) -> usize = panel_outputs(self.layer_outputs, self.first);
     }
 
     /// Returns the transposed weights of the 32 inputs that start at 32 · `column` of the slice.

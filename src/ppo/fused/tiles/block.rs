@@ -53,13 +53,9 @@ pub struct Workspace {
 impl Workspace {
     /// Allocates scratch memory for layers of up to `widest` columns, in units of 32.
     pub fn new(unit: TileUnit, widest: usize) -> Self {
-        Self {
-            unit,
-            forward: [(); 2].map(|()| vec![[Operand::ZERO; HALVES]; widest]),
-            backward: [(); 2].map(|()| vec![[Operand::ZERO; HALVES]; widest]),
-            sums: AlignedBuffer::zeros(SQUARE),
-            rows: Operand::ZERO,
-        }
+        let forward = [(); 2].map(|()| vec![[Operand::ZERO; HALVES]; widest]);
+        let backward = [(); 2].map(|()| vec![[Operand::ZERO; HALVES]; widest]);
+        Self { unit, forward, backward, sums: AlignedBuffer::zeros(SQUARE), rows: Operand::ZERO }
     }
 }
 

@@ -38,16 +38,10 @@ impl TilePanel {
     /// Creates panel `index` of a layer, with its moments.
     pub fn new(network: usize, depth: usize, index: usize, layers: [&Layer; 3], simd: V4) -> Self {
         let inputs = layers[0].inputs().div_ceil(32);
-        let mut panel = Self {
-            network,
-            depth,
-            index,
-            parameters: AdamParameters::new(layers.map(|layer| pack(layer, index))),
-            forward: vec![Operand::ZERO; inputs],
-            backward: vec![Operand::ZERO; if depth == 0 { 0 } else { inputs }],
-            tree: Tree::default(),
-            squares: 0.0,
-        };
+        let parameters = AdamParameters::new(layers.map(|layer| pack(layer, index)));
+        let forward = vec![Operand::ZERO; inputs];
+        let (backward, tree) = (vec![Operand::ZERO; if depth == 0 { 0 } else { inputs }], Tree::default());
+        let mut panel = Self { network, depth, index, parameters, forward, backward, tree, squares: 0.0 };
         panel.refresh(simd);
         panel
     }
