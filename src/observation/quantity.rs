@@ -72,10 +72,10 @@ quantities! {
     FeltForce: Polar, "felt force", "N", Policy;
     /// The last joint targets; the nominal pose at first. `a_{t−1}` of the paper.
     LastTarget: Joints, "target", "rad", Policy;
-    /// Commanded velocity: forward, left, yaw rate.
-    Command: Command, "commanded", "m/s, m/s, rad/s", Policy;
     /// Commanded compliance; zero without one.
     CommandedCompliance: Scalar, "commanded compliance", "m/s/N", Policy;
+    /// Commanded velocity: forward, left, yaw rate.
+    Command: Command, "commanded", "m/s, m/s, rad/s", Policy;
     /// Clock sin 2π(f·t + phase), for each of `phases`.
     ClockSin: Clock, "sine of a clock", "1", Policy;
     /// Clock cos 2π(f·t + phase), for each of `phases`.
@@ -207,8 +207,8 @@ impl Quantity {
                 let [forward, left] = state.felt_force.unwrap_or_default();
                 vector([forward, left, 0.0].map(|force| force.clamp(-MOST_FELT_N, MOST_FELT_N)));
             }
-            Quantity::Command => vector([now.command.forward, now.command.left, now.command.yaw]),
             Quantity::CommandedCompliance => out[0] = now.command.compliance.unwrap_or_default(),
+            Quantity::Command => vector([now.command.forward, now.command.left, now.command.yaw]),
             Quantity::JointAngles => reorder(&state.joint_angles, order, out),
             Quantity::JointOffsets => {
                 let offsets = std::array::from_fn(|joint| state.joint_angles[joint] - now.nominal[joint]);
