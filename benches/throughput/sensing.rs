@@ -30,7 +30,7 @@ pub fn measure(config: &Config, repetitions: usize, figures: &mut Figures) -> an
             let touching = contacts.update(&encoders, &target);
             Ok(estimator.update(Some(&imu), Some(&encoders), touching, 1.0 / RATE_HZ).map(drop)?)
         })?);
-        let mut observer = ForceObserver::new(&*robot)?;
+        let mut observer = ForceObserver::new(&robot)?;
         observer_us.push(per_tick_us(&mut || Ok(observer.update(&reading, 1.0 / RATE_HZ).map(drop)?))?);
     }
     figures.note("sensing_tick_us", tick_us);
