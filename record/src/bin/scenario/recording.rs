@@ -36,7 +36,7 @@ impl Recording {
         Ok(Recording { recorder: Some(recorder), sink: Some(sink) })
     }
 
-    /// Creates a placeholder that records nothing.
+    /// Creates a recording that stores nothing.
     pub fn none() -> Self {
         Recording { recorder: None, sink: None }
     }
