@@ -6,10 +6,9 @@ Settings are those of the configuration; the number of epochs is the number of p
 use crate::config::Ppo;
 use crate::ranks::{Ranks, tree_sum};
 
-/// Returns the weight of the entropy bonus after this part of the run, 0 to 1.
-pub fn entropy_coefficient_after(settings: &Ppo, part: f64) -> f64 {
-    let last = settings.final_entropy_coefficient.unwrap_or(settings.entropy_coefficient);
-    settings.entropy_coefficient + part.min(1.0) * (last - settings.entropy_coefficient)
+/// Returns a weight after this part of the run, 0 to 1: linear from the first to the last, if there is a last.
+pub fn weight_after(first: f64, last: Option<f64>, part: f64) -> f64 {
+    first + part.min(1.0) * (last.unwrap_or(first) - first)
 }
 
 /// Returns the learning rate for a step at which the policy has the divergence `kl` from the rollout's (Rudin et
@@ -252,13 +251,11 @@ pub(in crate::ppo) mod tests {
     }
 
     #[test]
-    fn the_weight_of_the_entropy_falls_linearly_if_a_last_one_is_given() {
-        let settings = Ppo { entropy_coefficient: 0.01, final_entropy_coefficient: Some(0.002), ..settings() };
-        let weights = [0.0, 0.25, 1.0, 1.5].map(|part| entropy_coefficient_after(&settings, part));
+    fn a_weight_changes_linearly_if_a_last_one_is_given() {
+        let weights = [0.0, 0.25, 1.0, 1.5].map(|part| weight_after(0.01, Some(0.002), part));
         let expected = [0.01, 0.008, 0.002, 0.002];
         assert!(weights.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-15), "{weights:?}");
-        let constant = Ppo { final_entropy_coefficient: None, ..settings };
-        assert_eq!(entropy_coefficient_after(&constant, 0.7), 0.01);
+        assert_eq!(weight_after(0.01, None, 0.7), 0.01);
     }
 
     #[test]

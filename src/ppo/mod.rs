@@ -30,5 +30,5 @@ pub use candle::CandleLearner;
 pub use fused::FusedLearner;
 pub use gaussian::{DiagonalGaussian, KlDivergence};
 pub use learner::{Learner, LearnerState, PrecisionError, Together, learner, resolved};
-pub use loss::{Batch, Samples, entropy_coefficient_after};
+pub use loss::{Batch, Samples, weight_after};
 pub use update::{UpdateFault, UpdateStatistics};

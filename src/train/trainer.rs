@@ -22,7 +22,7 @@ use crate::network::ActorCritic;
 use crate::observation::Layout;
 use crate::policy::{Policy, Provenance, shipped};
 use crate::ppo::{
-    Learner, LearnerState, PrecisionError, Samples, UpdateFault, entropy_coefficient_after, learner, resolved,
+    Learner, LearnerState, PrecisionError, Samples, UpdateFault, learner, resolved, weight_after,
 };
 use crate::provenance;
 use crate::ranks::{Alone, RankError, Ranks, agree, sum_over_samples};
@@ -235,7 +235,11 @@ impl Trainer {
     pub fn iterate(&mut self) -> Result<IterationMetrics, TrainError> {
         let started = Instant::now();
         let network = self.learner.parameters();
-        let ppo = &self.run.config.ppo;
+        let Config { ppo, reward, run, .. } = &self.run.config;
+        let part = self.run.samples as f64 / run.samples as f64;
+        for environment in &mut self.environments {
+            environment.set_energy_weight(weight_after(reward.energy, reward.final_energy, part));
+        }
         let (seed, iteration, curriculum) = (self.run.seed, self.run.iteration, self.run.curriculum);
         let threads = self.threads;
         let collection = Collection { network: &network, seed, iteration, steps: ppo.steps(), curriculum, threads };
@@ -257,8 +261,8 @@ impl Trainer {
 
         let batch = rollout.batch(&network.log_std, &advantages, &returns);
         let permutations = self.permutations(rollout.len());
-        let part = self.run.samples as f64 / self.run.config.run.samples as f64;
-        self.learner.set_entropy_coefficient(if is_critic_alone { 0.0 } else { entropy_coefficient_after(ppo, part) });
+        let entropy_coefficient = weight_after(ppo.entropy_coefficient, ppo.final_entropy_coefficient, part);
+        self.learner.set_entropy_coefficient(if is_critic_alone { 0.0 } else { entropy_coefficient });
         let batch = match &self.mirror {
             None => batch,
             Some(mirror) => {

@@ -332,6 +332,11 @@ impl World {
         fn sim_mut(&mut self) -> &mut Sim = &mut self.sim;
     }
 
+    /// Changes the weight of the energy cost.
+    pub fn set_energy_weight(&mut self, weight: f64) {
+        self.reward.energy = weight;
+    }
+
     /// Returns the state from which the world continues with the same bits.
     pub fn save(&self) -> WorldState {
         let World { steps, swings, targets, reference, .. } = *self;
