@@ -47,6 +47,8 @@ pub struct Scene {
     pub robot: Arc<Robot>,
     /// Mass that the trunk has beyond the robot's description, which policies and force observers do not take into account \[kg\].
     pub extra_mass_kg: f64,
+    /// Rolling friction of robot and ground \[m\]; 0: contacts do not resist rolling or turning (`condim` 3).
+    pub rolling_m: f64,
     /// The ground that the robot walks on.
     pub ground: Ground,
     /// Duration of a physics step \[s\].
@@ -74,7 +76,8 @@ impl Scene {
     pub fn flat(robot: Arc<Robot>, timestep_s: f64) -> Self {
         let (ground, obstacles, extras, solver) = (Ground::Flat, String::new(), String::new(), "");
         let buffers = Buffers { contacts: 32, rows: 200, stack: 20_000 };
-        Scene { robot, extra_mass_kg: 0.0, ground, timestep_s, obstacles, extras, lists_pairs: false, solver, buffers }
+        let (extra_mass_kg, rolling_m, lists_pairs) = (0.0, 0.0, false);
+        Scene { robot, extra_mass_kg, rolling_m, ground, timestep_s, obstacles, extras, lists_pairs, solver, buffers }
     }
 
     /// Compiles the scene for simulation, without geometries that are only for display, which nearly halves the cost of
@@ -155,13 +158,19 @@ impl Scene {
         if !self.has_pairs() {
             return String::new();
         }
-        let [sliding, torsional, rolling] = FRICTION;
+        let ([sliding, torsional, rolling], condim) = self.friction();
         let friction = format!("{sliding} {sliding} {torsional} {rolling} {rolling}");
-        let pair = |part| format!(r#"<pair geom1="{GROUND}" geom2="{part}" condim="3" friction="{friction}"/>"#);
+        let pair = |part| format!(r#"<pair geom1="{GROUND}" geom2="{part}" condim="{condim}" friction="{friction}"/>"#);
         let pairs: String = self.robot.colliding.iter().map(pair).collect();
         // MuJoCo 3 looks for islands of touching bodies, in vain with one robot.
         let solver = if VERSION < 300 { "" } else { "  <option><flag island=\"disable\"/></option>\n" };
         format!("{solver}  <contact>{pairs}</contact>\n")
+    }
+
+    /// Returns the friction of the ground, and the dimension of its contacts.
+    fn friction(&self) -> ([f64; 3], usize) {
+        let [sliding, torsional, rolling] = FRICTION;
+        if self.rolling_m > 0.0 { ([sliding, torsional, self.rolling_m], 6) } else { ([sliding, torsional, rolling], 3) }
     }
 
     fn ground_asset(&self) -> String {
@@ -182,13 +191,13 @@ impl Scene {
                 format!(r#"type="hfield" hfield="{GROUND}" pos="0 0 {}""#, self.height_range()[0])
             }
         };
-        let [sliding, torsional, rolling] = FRICTION;
+        let ([sliding, torsional, rolling], condim) = self.friction();
         let look = match discard_visual {
             true => r#"rgba="0.35 0.38 0.42 1""#.to_owned(),
             false => format!(r#"material="{}""#, look::GROUND_MATERIAL),
         };
         format!(
-            r#"<geom name="{GROUND}" {shape} condim="3" priority="1" friction="{sliding} {torsional} {rolling}" {look}/>"#
+            r#"<geom name="{GROUND}" {shape} condim="{condim}" priority="1" friction="{sliding} {torsional} {rolling}" {look}/>"#
         )
     }
 

@@ -62,6 +62,8 @@ pub struct Felt {
     pub terrain_m: f64,
     /// The masses added to the trunk but not to the observer's model \[kg\].
     pub extra_masses_kg: Vec<f64>,
+    /// The rolling frictions of the feet \[m\].
+    pub rolling_m: Vec<f64>,
     pub trials: u32,
 }
 
@@ -112,12 +114,14 @@ impl Felt {
         let (push, pulley, pendulum): (PushTrunk, Pulley, Pendulum) =
             (defaults("push")?, defaults("pulley")?, defaults("pendulum")?);
         let (at_s, for_s) = (self.at_s, self.for_s);
-        let pull = |forward_m_s: f64, force_n: f64, direction_deg: f64, extra_mass_kg: f64| {
-            let task = Task { forward_m_s, duration_s: at_s + for_s, extra_mass_kg, ..leash.task.clone() };
+        // What the observer does not know: the mass on the trunk [kg], and the rolling friction of the feet [m].
+        let pull = |forward_m_s: f64, force_n: f64, direction_deg: f64, [extra_mass_kg, rolling_m]: [f64; 2]| {
+            let task = Task { forward_m_s, duration_s: at_s + for_s, extra_mass_kg, rolling_m, ..leash.task.clone() };
             Scenario::Leash(Leash { task, force_n, direction_deg, at_s, for_s, set_point_per_s: 0.0 })
         };
-        let undisturbed = |[forward_m_s, left_m_s, yaw_rad_s]: [f64; 3], extra_mass_kg: f64| {
-            Scenario::Walk(Walk { task: Task { forward_m_s, left_m_s, yaw_rad_s, extra_mass_kg, ..walk.task.clone() } })
+        let undisturbed = |[forward_m_s, left_m_s, yaw_rad_s]: [f64; 3], [extra_mass_kg, rolling_m]: [f64; 2]| {
+            let task = Task { forward_m_s, left_m_s, yaw_rad_s, extra_mass_kg, rolling_m, ..walk.task.clone() };
+            Scenario::Walk(Walk { task })
         };
         let gaits = [0.0, 0.5];
         let by_side = pairs(&gaits, &self.sides_deg);
@@ -127,7 +131,7 @@ impl Felt {
             let each = pairs(&self.forces_n, &evenly(self.directions));
             let speed = if *command == 0.0 { gait(0.0).to_owned() } else { format!("{command} m/s") };
             groups.push(Group::new(format!("pulled, {speed}"), Role::Steady, each, |(force, side)| {
-                (format!("{force} N, {side:.0}°"), pull(*command, force, side, 0.0))
+                (format!("{force} N, {side:.0}°"), pull(*command, force, side, [0.0; 2]))
             }));
         }
         groups.push(Group::new("pushed", Role::Pulled, by_side.clone(), |(forward_m_s, direction_deg)| {
@@ -149,7 +153,7 @@ impl Felt {
             (label, Scenario::Pendulum(Pendulum { task, release_height_m, ..pendulum.clone() }))
         }));
         groups.push(Group::new("undisturbed", Role::Calm, &self.walks, |command| {
-            (super::walk::label(*command), undisturbed(*command, 0.0))
+            (super::walk::label(*command), undisturbed(*command, [0.0; 2]))
         }));
         groups.push(Group::new("slopes", Role::Other, &self.inclines, |incline| {
             let slope = UnevenGround { kind: TerrainKind::Slope, incline: *incline, ..terrain.clone() };
@@ -163,13 +167,14 @@ impl Felt {
         ] {
             groups.push(Group::new(name, Role::Rough, [scenario], |scenario| (String::new(), scenario)));
         }
-        for mass in &self.extra_masses_kg {
-            let name = format!("{mass:+} kg on the trunk").replace('-', "−");
+        let masses = self.extra_masses_kg.iter().map(|mass| (format!("{mass:+} kg on the trunk").replace('-', "−"), [*mass, 0.0]));
+        let rolling = self.rolling_m.iter().map(|rolling| (format!("{} mm of rolling friction", 1000.0 * rolling), [0.0, *rolling]));
+        for (name, unknown) in masses.chain(rolling) {
             groups.push(Group::new(format!("{name}, pulled"), Role::Pulled, by_side.clone(), |(command, side)| {
-                (format!("{}, 20 N, {side:.0}°", gait(command)), pull(command, 20.0, side, *mass))
+                (format!("{}, 20 N, {side:.0}°", gait(command)), pull(command, 20.0, side, unknown))
             }));
             groups.push(Group::new(format!("{name}, undisturbed"), Role::Other, gaits, |forward| {
-                (gait(forward).to_owned(), undisturbed([forward, 0.0, 0.0], *mass))
+                (gait(forward).to_owned(), undisturbed([forward, 0.0, 0.0], unknown))
             }));
         }
         Ok(groups)

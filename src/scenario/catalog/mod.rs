@@ -259,6 +259,10 @@ pub struct Task {
     #[arg(long)]
     #[serde(default, skip_serializing_if = "is_zero")]
     pub extra_mass_kg: f64,
+    /// Rolling friction of the feet (m) [default: 0, contacts that do not resist rolling]
+    #[arg(long)]
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub rolling_m: f64,
 }
 
 #[allow(clippy::trivially_copy_pass_by_ref)]
@@ -298,10 +302,12 @@ impl Scenario {
         in_range("duration-s", task.duration_s, 0.1, 3600.0, "0.1 to 3600 s")?;
         in_range("encoder-bias-sd-rad", task.encoder_bias_sd_rad, 0.0, 1.0, "0 to 1 rad")?;
         in_range("extra-mass-kg", task.extra_mass_kg, -2.0, 10.0, "-2 to 10 kg")?;
+        in_range("rolling-m", task.rolling_m, 0.0, 0.1, "0 to 0.1 m")?;
         let mut rng = stream(seed, Purpose::Offsets, 0, 0);
         let mut script = Script {
             scene: Scene {
                 extra_mass_kg: task.extra_mass_kg,
+                rolling_m: task.rolling_m,
                 ..Scene::flat(config.robot.load()?, config.simulation.timestep_s())
             },
             conditions: Conditions {
