@@ -223,6 +223,8 @@ pub enum Verdict {
     Undefined,
     /// Both sets are below a bound.
     Holds,
+    /// The means of both sets are below a bound, but numbers are missing.
+    Incomplete,
     /// A set is not below a bound.
     Fails,
 }
@@ -249,11 +251,12 @@ impl Verdict {
     /// fell, breaks the bound.
     pub fn from_bound(bound: f64, comparison: &Comparison) -> Self {
         let is_whole = comparison.trials.is_none_or(|trials| trials.used == trials.of);
-        let keeps = |set: &Numbers| set.is_whole() && set.spread.is_some_and(|spread| spread.mean < bound);
+        let keeps = |set: &Numbers| set.spread.is_some_and(|spread| spread.mean < bound);
         match comparison.pair() {
             pair if pair.iter().all(|set| set.spread.is_none()) => Verdict::Undefined,
-            pair if is_whole && pair.iter().all(keeps) => Verdict::Holds,
-            _ => Verdict::Fails,
+            pair if !pair.iter().all(keeps) => Verdict::Fails,
+            pair if is_whole && pair.iter().all(Numbers::is_whole) => Verdict::Holds,
+            _ => Verdict::Incomplete,
         }
     }
 
@@ -267,6 +270,7 @@ impl Verdict {
             Verdict::Unpaired => "no seed has the number in both sets",
             Verdict::Undefined => "not defined for one of the sets",
             Verdict::Holds => "holds for both",
+            Verdict::Incomplete => "does not hold: numbers are missing, most often because a robot fell",
             Verdict::Fails => "does not hold for both",
         }
     }
@@ -382,10 +386,10 @@ mod tests {
         let kept = comparison(&[0.02, 0.04], &[0.03, 0.04]);
         assert_eq!(Verdict::from_bound(0.05, &kept), Verdict::Holds);
         assert_eq!(Verdict::from_bound(0.035, &kept), Verdict::Fails);
-        assert_eq!(Verdict::from_bound(0.05, &kept.clone().with_trials(Trials { used: 3, of: 4 })), Verdict::Fails);
+        assert_eq!(Verdict::from_bound(0.05, &kept.clone().with_trials(Trials { used: 3, of: 4 })), Verdict::Incomplete);
         let one_fell =
             Comparison::new(vec![Numbers::new(per_seed(&[0.02]), 2), Numbers::new(per_seed(&[0.02, 0.03]), 2)]);
-        assert_eq!(Verdict::from_bound(0.05, &one_fell), Verdict::Fails);
+        assert_eq!(Verdict::from_bound(0.05, &one_fell), Verdict::Incomplete);
         assert_eq!(Verdict::from_bound(0.05, &compared(PerSeed::new(), PerSeed::new())), Verdict::Undefined);
     }
 

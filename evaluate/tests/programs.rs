@@ -314,7 +314,7 @@ fn report_page_opens_in_a_browser() {
         assert!(page.contains(words), "{words}");
     }
     let document = place.read("results.md");
-    for words in ["measured by revision", "--results results.md", "| E1 Fig. 2 |"] {
+    for words in ["measured by revision", "--results results.md", "## E1 Push recovery (Fig. 2)"] {
         assert!(document.contains(words), "{document}");
     }
     for figure in ["decay", "push-grid"] {

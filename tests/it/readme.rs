@@ -6,11 +6,11 @@ use crate::support::repository;
 const ROWS: [(&str, &str); 5] = [
     (
         "| a sideways push of 0.5 m/s decays within |",
-        "After a sideways push, compliant policies take longer to stabilise to 10 % |",
+        "After a sideways push, compliant policies take longer to stabilise to 10 %:",
     ),
-    ("| power in the second after it |", "After a push, compliant policies use less power |"),
-    ("| a leash of 20 N changes the velocity by |", "| Pulled with 20 N,"),
-    ("| a box in the way (friction 1) is moved by |", "displace a box in their way less (friction 1) |"),
+    ("| power in the second after it |", "After a push, compliant policies use less power:"),
+    ("| a leash of 20 N changes the velocity by |", " Pulled with 20 N,"),
+    ("| a box in the way (friction 1) is moved by |", "displace a box in their way less (friction 1):"),
     ("| pushes to ±1.5 m/s survived |", "The 80 % contour of push recovery"),
 ];
 
@@ -24,7 +24,10 @@ fn every_number_of_the_readmes_table_is_that_of_its_claim_in_the_results() {
     let (readme, results) = (read("README.md"), read("research/results.md"));
     for (row, claim) in ROWS {
         let row = readme.lines().find_map(|line| line.strip_prefix(row)).unwrap_or_else(|| panic!("no row {row}"));
-        let claim = results.lines().find(|line| line.contains(claim)).unwrap_or_else(|| panic!("no claim {claim}"));
+        // The claim's number in its list is the first cell of its row in the table that follows.
+        let mut rest = results.lines().skip_while(|line| !line.contains(claim));
+        let number = rest.next().and_then(|line| line.split('.').next()).unwrap_or_else(|| panic!("no claim {claim}"));
+        let claim = rest.find(|line| line.starts_with(&format!("| {number} |"))).unwrap();
         let known = numbers(claim);
         let found = numbers(row);
         assert!(found.len() > 4, "{row}");

@@ -244,13 +244,11 @@ impl Experiment for CommandedCompliance {
                         _ => continue,
                     };
                     let words = match quantity {
-                        SLOPE_ERROR => {
-                            format!("the slope of measured over commanded compliance is within {bound} of 1")
-                        }
-                        _ => format!("R² is at least {}", 1.0 - bound),
+                        SLOPE_ERROR => "the slope of measured over commanded compliance differs from 1 by less than",
+                        _ => "1 − R² is below",
                     };
                     let (when, yields) = ("With a commanded compliance while", "both sets yield");
-                    let text = format!("{when} {}, {yields}{axis} as commanded: {words}", gait(*speed));
+                    let text = format!("{when} {}, {yields}{axis} as commanded: {words} {bound}", gait(*speed));
                     let claim = Claim::below(bound, text, "", quantity, comparison);
                     let verdict = if fails { Verdict::Fails } else { claim.verdict };
                     section.content.claims.push(Claim { verdict, ..claim });

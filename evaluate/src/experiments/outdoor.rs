@@ -34,7 +34,7 @@ impl Experiment for Outdoor {
         let base: OutdoorScenario = defaults("outdoor")?;
         Ok(conditions(&self.steepest, |steepest| {
             let scenario = Scenario::Outdoor(OutdoorScenario { steepest: *steepest, ..base.clone() });
-            (format!("to {:.0} %", 100.0 * steepest), scenario)
+            (format!("slopes to {:.0} %", 100.0 * steepest), scenario)
         }))
     }
 
@@ -52,7 +52,7 @@ impl Experiment for Outdoor {
             &["success", "velocity_error_m_s", "power_w"],
             "Velocity error and power are of trials without a fall.",
         );
-        let text = "On hills of varied friction, compliant policies fall less often";
+        let text = "On hills of varied friction, compliant policies stay on their feet more often";
         section.claim(text, "manages; no baseline shown", "success", Higher, &section.all());
     }
 }

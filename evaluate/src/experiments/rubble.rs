@@ -63,7 +63,7 @@ impl Experiment for Rubble {
             &["success", "crossed", "velocity_error_m_s"],
             "The velocity error is of trials that got across.",
         );
-        for (quantity, words) in [("success", "fall less often"), ("crossed", "get across more often")] {
+        for (quantity, words) in [("success", "stay on their feet more often"), ("crossed", "get across more often")] {
             let text = format!("Among wooden blocks and soft mats, compliant policies {words}");
             section.claim(&text, "superior", quantity, Higher, &section.all());
         }

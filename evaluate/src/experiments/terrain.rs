@@ -47,9 +47,9 @@ impl Experiment for Terrain {
             &["success", "velocity_error_m_s", "peak_foot_force_n"],
             "All numbers except success are of trials without a fall.",
         );
-        let text = format!("On terrain of {}, compliant policies fall less often", section.first_label());
+        let text = format!("On terrain of {}, compliant policies stay on their feet more often", section.first_label());
         section.claim(&text, "less often", "success", Higher, &[0]);
-        let text = "Over all terrains, compliant policies fall less often";
+        let text = "Over all terrains, compliant policies stay on their feet more often";
         section.claim(text, "less often", "success", Higher, &section.all());
         let text = "Over all terrains, compliant policies have a lower peak foot force";
         section.claim(text, "lower", "peak_foot_force_n", Lower, &section.all());

@@ -106,7 +106,7 @@ fn claim_class(column: usize, last: usize, claim: &Claim) -> Option<&'static str
         (..=2, _) => None,
         (column, _) if column < last => Some("number"),
         (_, Verdict::AsExpected | Verdict::Holds) => Some("yes"),
-        (_, Verdict::Opposite | Verdict::Fails) => Some("no"),
+        (_, Verdict::Opposite | Verdict::Fails | Verdict::Incomplete) => Some("no"),
         _ => Some("open"),
     }
 }

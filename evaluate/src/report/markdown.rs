@@ -1,5 +1,7 @@
 //! Tables as Markdown, and the document of all claims.
 
+use std::iter;
+
 use super::{Report, Section, TOO_FEW, duration};
 use crate::policy_sets::{PolicySet, SetMember, Training, millions};
 use crate::section_content::{Claim, NOTHING, Row, Table, difference, percent, spread};
@@ -102,6 +104,33 @@ pub fn claims(report: &Report) -> String {
     few + &grid((columns, rows))
 }
 
+/// Returns the claims of each experiment: a list with the verdicts, the numbers in narrow tables, and notes.
+fn claims_by_experiment(report: &Report) -> String {
+    let (columns, rows) = claim_rows(report);
+    let (mut rows, sets) = (rows.into_iter(), report.names.len());
+    // The compared sets and their difference before the others.
+    let order = |first: String, row: &[String]| -> Vec<String> {
+        let numbers = [2, 3, 4, 3 + sets, 4 + sets].into_iter().chain(5..3 + sets).map(|k| row[k].clone());
+        iter::once(first).chain(numbers).collect()
+    };
+    let of_section = |section: &Section| {
+        let (mut list, mut numbers) = (String::new(), Vec::new());
+        for (row, number) in rows.by_ref().take(section.content.claims.len()).zip(1..) {
+            let verdict = row.last().filter(|verdict| !verdict.is_empty());
+            let verdict = verdict.map_or(String::new(), |verdict| format!(": **{verdict}**"));
+            list += &format!("{number}. {}{verdict}\n", row[1]);
+            numbers.push(order(number.to_string(), &row));
+        }
+        let info = &section.info;
+        let paper = if info.paper.is_empty() { String::new() } else { format!(" ({})", info.paper) };
+        let notes: String = section.content.notes.iter().map(|note| format!("- {note}\n")).collect();
+        let numbers = narrow((order("claim".into(), &columns), numbers));
+        let parts = [format!("## {} {}{paper}\n", info.id, info.title), list, numbers, notes];
+        parts.into_iter().filter(|part| !part.is_empty()).map(|part| format!("\n{part}")).collect()
+    };
+    report.sections.iter().map(of_section).collect::<Vec<String>>().concat()
+}
+
 /// Returns the document of all claims (`research/results.md`), whose figures are in `images/`.
 pub fn document(report: &Report) -> String {
     let list = |notes: &[String]| notes.iter().map(|note| format!("- {note}\n")).collect::<String>();
@@ -117,19 +146,13 @@ pub fn document(report: &Report) -> String {
         report.protocol,
         report.revisions().join(", "),
         duration(report.wall_s()),
-        claims(report)
+        if report.has_too_few_pairs() { format!("{TOO_FEW}\n\n") } else { String::new() }
     );
-    let of_section = |section: &Section| {
-        section.content.notes.iter().map(|note| format!("- {}: {note}\n", section.info.id)).collect::<String>()
-    };
-    let mut notes: String = report.sections.iter().map(of_section).collect();
     if !report.missing.is_empty() {
         let names: Vec<&str> = report.missing.iter().map(|info| info.name).collect();
-        notes.push_str(&format!("- not run: {}\n", names.join(", ")));
+        text.push_str(&format!("Not run: {}.\n", names.join(", ")));
     }
-    if !notes.is_empty() {
-        text.push_str(&format!("\n{notes}"));
-    }
+    text.push_str(&claims_by_experiment(report));
     for figure in report.figures_of_document() {
         text.push_str(&format!("\n![{0}](images/{0}.png)\n\n{1}\n", figure.name, figure.caption));
     }
@@ -148,8 +171,19 @@ pub fn document(report: &Report) -> String {
     });
     let counts = ["experiment", "conditions", "trials of each with each policy"];
     let falls: Vec<String> = report.names.iter().map(|name| format!("falls, {name}")).collect();
-    text.push_str(&grid((titled(counts, &falls, []), rows.collect())));
+    text.push_str(&narrow((titled(counts, &falls, []), rows.collect())));
     text
+}
+
+/// Returns a table as tables of up to six columns, the first column in each; none without rows.
+fn narrow((columns, rows): Rows) -> String {
+    let rest: Vec<usize> = (1..columns.len()).collect();
+    let part = |part: &[usize]| {
+        let cells = |row: &Vec<String>| iter::once(&0).chain(part).map(|k| row[*k].clone()).collect();
+        grid((cells(&columns), rows.iter().map(cells).collect()))
+    };
+    let parts: Vec<String> = rest.chunks(5).filter(|_| !rows.is_empty()).map(part).collect();
+    parts.join("\n")
 }
 
 /// Returns a Markdown table without the columns that are empty throughout.
