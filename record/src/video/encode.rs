@@ -1,12 +1,10 @@
-//! Encoders of videos: MP4 with H.264, WebP and GIF, in memory.
+//! Encoders of videos: MP4 with H.264 and WebP, in memory.
 
 use std::num::NonZeroU32;
 use std::path::Path;
 
 use openh264::OpenH264API;
-use openh264::encoder::{
-    BitRate, EncoderConfig, FrameRate, FrameType, IntraFramePeriod, Profile, RateControlMode, VuiConfig,
-};
+use openh264::encoder::{EncoderConfig, FrameRate, FrameType, IntraFramePeriod, Profile, RateControlMode, VuiConfig};
 use openh264::formats::{RgbSliceU8, YUVBuffer};
 use shiguredo_mp4::TrackKind;
 use shiguredo_mp4::bitstream::h264::{
@@ -18,25 +16,20 @@ use webp_animation::{EncoderOptions, EncodingConfig};
 
 use super::{FRAME_RATE, Result, VideoError};
 
-/// Bits of H.264 for each pixel of a frame: a still background costs little.
-const BITS_PER_PIXEL: f32 = 0.16;
 /// Quality of WebP, 0 to 100.
 const WEBP_QUALITY: f32 = 55.0;
-/// Speed of the search for the 256 colours of a GIF's frame, 1 to 30.
-const GIF_SPEED: i32 = 20;
 
 /// Format of a video.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Format {
     Mp4,
     WebP,
-    Gif,
 }
 
 impl Format {
     /// Returns the format that the ending of a file's name stands for.
     pub(super) fn of(path: &Path) -> Option<Self> {
-        let endings = [("mp4", Format::Mp4), ("webp", Format::WebP), ("gif", Format::Gif)];
+        let endings = [("mp4", Format::Mp4), ("webp", Format::WebP)];
         let found = path.extension()?;
         endings.into_iter().find(|(ending, _)| found.eq_ignore_ascii_case(ending)).map(|(_, format)| format)
     }
@@ -52,16 +45,15 @@ pub(super) struct Encoder {
 enum Kind {
     Mp4(Box<Mp4>),
     WebP(Box<webp_animation::Encoder>),
-    Gif(Box<gif::Encoder<Vec<u8>>>),
 }
 
 fn failed(error: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> VideoError {
     VideoError::Encode(error.into())
 }
 
-/// Returns the time of a frame in parts of a second.
-fn time_of(frame: u32, parts_per_s: u64) -> u32 {
-    (u64::from(frame) * parts_per_s / u64::from(FRAME_RATE)) as u32
+/// Returns the time of a frame \[ms\].
+fn time_of(frame: u32) -> i32 {
+    (u64::from(frame) * 1000 / u64::from(FRAME_RATE)) as i32
 }
 
 impl Encoder {
@@ -75,11 +67,6 @@ impl Encoder {
                 let webp = webp_animation::Encoder::new_with_options((width as u32, height as u32), options);
                 Kind::WebP(Box::new(webp.map_err(failed)?))
             }
-            Format::Gif => {
-                let mut gif = gif::Encoder::new(Vec::new(), width as u16, height as u16, &[]).map_err(failed)?;
-                gif.set_repeat(gif::Repeat::Infinite).map_err(failed)?;
-                Kind::Gif(Box::new(gif))
-            }
         };
         Ok(Encoder { kind, size, frames: 0 })
     }
@@ -91,13 +78,7 @@ impl Encoder {
             Kind::Mp4(mp4) => mp4.frame(rgb, self.size)?,
             Kind::WebP(webp) => {
                 let rgba: Vec<u8> = rgb.chunks(3).flat_map(|pixel| [pixel[0], pixel[1], pixel[2], 255]).collect();
-                webp.add_frame(&rgba, time_of(self.frames, 1000) as i32).map_err(failed)?;
-            }
-            Kind::Gif(gif) => {
-                let mut frame = gif::Frame::from_rgb_speed(width as u16, height as u16, rgb, GIF_SPEED);
-                // In hundredths of a second, of which a frame lasts three or four.
-                frame.delay = (time_of(self.frames + 1, 100) - time_of(self.frames, 100)) as u16;
-                gif.write_frame(&frame).map_err(failed)?;
+                webp.add_frame(&rgba, time_of(self.frames)).map_err(failed)?;
             }
         }
         self.frames += 1;
@@ -107,8 +88,7 @@ impl Encoder {
     pub(super) fn finish(self) -> Result<Vec<u8>> {
         match self.kind {
             Kind::Mp4(mp4) => mp4.finish(),
-            Kind::WebP(webp) => Ok(webp.finalize(time_of(self.frames, 1000) as i32).map_err(failed)?.to_vec()),
-            Kind::Gif(gif) => gif.into_inner().map_err(failed),
+            Kind::WebP(webp) => Ok(webp.finalize(time_of(self.frames)).map_err(failed)?.to_vec()),
         }
     }
 }
@@ -123,10 +103,9 @@ struct Mp4 {
 
 impl Mp4 {
     fn new([width, height]: [usize; 2]) -> Result<Self> {
-        let bits_per_s = BITS_PER_PIXEL * (width * height) as f32 * FRAME_RATE as f32;
+        // The same quantisation for every picture: with a bit rate, OpenH264 prints a warning unless it may leave pictures out.
         let config = EncoderConfig::new()
-            .rate_control_mode(RateControlMode::Quality)
-            .bitrate(BitRate::from_bps(bits_per_s as u32))
+            .rate_control_mode(RateControlMode::Off)
             .max_frame_rate(FrameRate::from_hz(FRAME_RATE as f32))
             .intra_frame_period(IntraFramePeriod::from_num_frames(4 * FRAME_RATE))
             .skip_frames(false)

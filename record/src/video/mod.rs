@@ -78,11 +78,11 @@ impl Video {
     /// Checks that a video of this width and height \[px\] can be drawn and can have this name; writes nothing.
     ///
     /// # Errors
-    /// The ending is none of `.mp4`, `.webp` and `.gif`, the size is out of range, or no OpenGL without a screen is installed.
+    /// The ending is neither `.mp4` nor `.webp`, the size is out of range, or no OpenGL without a screen is installed.
     pub fn new(path: &Path, size: [usize; 2]) -> Result<Self> {
         let format = Format::of(path).ok_or_else(|| {
             let name = path.with_extension("mp4");
-            let words = "its name must end with .mp4, .webp or .gif; name it";
+            let words = "its name must end with .mp4 or .webp; name it";
             cannot_write(path)(format!("{words} {}", name.display()))
         })?;
         let [width, height] = size;

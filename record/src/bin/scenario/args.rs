@@ -61,7 +61,7 @@ pub struct Args {
     #[arg(long, global = true, help_heading = OUTPUT, value_name = "PORT", num_args = 0..=1, require_equals = true,
           default_missing_value = "9090", conflicts_with_all = ["record", "no_record", "connect"])]
     pub serve: Option<u16>,
-    /// Also draw a video (.mp4, .webp or .gif), 30 frames a second; for programs built with the feature `video`
+    /// Also draw a video (.mp4 or .webp), 30 frames a second; for programs built with the feature `video`
     #[arg(long, global = true, help_heading = OUTPUT, value_name = "FILE")]
     pub video: Option<PathBuf>,
     /// Width and height of the video (px), even numbers
