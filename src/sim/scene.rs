@@ -131,13 +131,15 @@ impl Scene {
   <include file="{ROBOT}"/>
   <compiler discardvisual="{discard_visual}"/>
   <size njmax="{rows}" nconmax="{contacts}" nstack="{stack}"/>
-  <option timestep="{timestep}" integrator="Euler" cone="pyramidal" {solver}/>
+  <option timestep="{timestep}" integrator="Euler" {cone} {solver}/>
 {settings}{pairs}{assets}{extras}  <worldbody>
     {ground}
 {sun}{obstacles}  </worldbody>
 </mujoco>
 "#,
             timestep = self.timestep_s,
+            // The pyramid's small friction is too soft to hold a rolling foot: it lets a tenth of the moment through.
+            cone = if self.rolling_m > 0.0 { r#"cone="elliptic" impratio="100""# } else { r#"cone="pyramidal""# },
             solver = self.solver,
             pairs = self.pairs(),
             assets = self.ground_asset(),
