@@ -29,9 +29,6 @@ struct Args {
     /// Little work and one repetition: shows that everything runs, measures nothing
     #[arg(long)]
     quick: bool,
-    /// Leave the peers out even if they are installed
-    #[arg(long)]
-    no_peers: bool,
     /// Given by `cargo bench`; without it, as under `cargo test --benches`, everything is quick
     #[arg(long, hide = true)]
     bench: bool,
@@ -97,7 +94,7 @@ fn main() -> anyhow::Result<()> {
     iterations(&config, threads, &effort, &mut figures).context("iterations")?;
     ball_pit(&effort, &mut figures).context("ball pit")?;
     sensing::measure(&config, effort.repetitions, &mut figures).context("sensing")?;
-    if !is_quick && !args.no_peers {
+    if !is_quick {
         peers::measure(&config, threads, &effort, &mut figures).context("peers")?;
     }
     if args.json {

@@ -238,7 +238,7 @@ mod tests {
         let (two, three) = (results(&both), results(&[&both[..], &[third]].concat()));
         let [two, three] = [two, three].map(|results| results.compare_over(&[0, 1], "decay_10_s"));
         assert_eq!(three.sets[..2], two.sets);
-        assert_eq!((three.difference, three.trials), (two.difference, two.trials));
+        assert_eq!((three.difference, three.relative, three.trials), (two.difference, two.relative, two.trials));
         // b fell in condition 1, which is left out for a; a did not, so that c keeps both.
         assert_eq!((three.sets[0].by_seed[&0], three.sets[2].by_seed[&0]), (1.0, 6.0));
     }

@@ -5,21 +5,20 @@ the numbers that the program stores.
 */
 
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::{Mutex, PoisonError};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use numpy::{IntoPyArray, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use supple::scenario::Sensing;
+use rayon::prelude::*;
+use rayon::{ThreadPool, ThreadPoolBuilder};
 use supple_evaluate::policy_sets::PolicySets;
 use supple_evaluate::protocol::Protocol;
 use supple_evaluate::report::{CommandLine, Report, summary};
 use supple_evaluate::runner::{self, RunError};
 use supple_evaluate::study::Study;
 use supple_evaluate::trial::{self, Beginnings, Sample, TrialEnd};
-use supple_evaluate::{Condition, Experiment};
 
 use crate::failure::{apart, failed, refused};
 use crate::policy::Policy;
@@ -50,12 +49,28 @@ pub fn evaluate<'py>(
     let mut measured = Vec::new();
     for experiment in protocol.experiments().into_iter().filter(|experiment| wanted(experiment.info().name)) {
         let conditions = experiment.conditions().map_err(refused)?;
-        let sensing = sensing(estimated);
+        let (info, sensing, stop) = (experiment.info(), sensing(estimated), AtomicBool::new(false));
+        let shape = [conditions.len(), info.trials as usize];
+        // None for functions, which must be called once for each step.
         let beginnings = (!policy.is_function()).then(Beginnings::default);
-        let work = Work { experiment, conditions: &conditions, policy, seed, sensing, beginnings };
-        let samples = apart(py, || work.play(threads))?;
-        let info = experiment.info();
-        let shape = [conditions.len(), experiment.info().trials as usize];
+        let trial = |index: usize| {
+            if stop.load(Ordering::Relaxed) {
+                return Err(failed(RunError::Stopped));
+            }
+            let agent = &policy.agent;
+            let sample = trial::play_at(index, experiment, &conditions, seed, agent, sensing, beginnings.as_ref());
+            // The sample is invalid if a policy function has raised.
+            policy.check()?;
+            sample.map_err(failed)
+        };
+        let trials = 0..shape[0] * shape[1];
+        // Policy functions run on the calling thread.
+        let samples: Vec<Sample> = if policy.is_function() {
+            apart(py, || trials.map(trial).collect::<PyResult<_>>())?
+        } else {
+            let trials = trials.into_par_iter().with_max_len(1).map(trial);
+            apart(py, || interruptibly(&stop, || pool(threads)?.install(|| trials.collect::<PyResult<_>>())))?
+        };
         let values = samples.iter().flat_map(|sample| sample.values.iter().map(|value| value.unwrap_or(f64::NAN)));
         let values = values.collect::<Vec<_>>().into_pyarray(py);
         let ends = samples.iter().map(|sample| match sample.end {
@@ -73,62 +88,6 @@ pub fn evaluate<'py>(
         ));
     }
     Ok(measured)
-}
-
-/// An experiment, its conditions and the policy to measure.
-struct Work<'a> {
-    experiment: &'a dyn Experiment,
-    conditions: &'a [Condition],
-    policy: &'a Policy,
-    seed: u64,
-    sensing: Sensing,
-    /// None for functions, which must be called once for each step.
-    beginnings: Option<Beginnings>,
-}
-
-impl Work<'_> {
-    /// Plays all trials and returns them by condition and trial. Policy functions run on the calling thread. Ctrl-C ends it.
-    fn play(&self, threads: usize) -> PyResult<Vec<Sample>> {
-        let count = self.conditions.len() * self.experiment.info().trials as usize;
-        let (next, stop) = (AtomicUsize::new(0), AtomicBool::new(false));
-        let played: Mutex<Vec<(usize, PyResult<Sample>)>> = Mutex::new(Vec::with_capacity(count));
-        let worker = || {
-            while !stop.load(Ordering::Relaxed) {
-                let index = next.fetch_add(1, Ordering::Relaxed);
-                if index >= count {
-                    return;
-                }
-                let sample = self.trial(index);
-                if sample.is_err() {
-                    stop.store(true, Ordering::Relaxed);
-                }
-                played.lock().unwrap_or_else(PoisonError::into_inner).push((index, sample));
-            }
-        };
-        if self.policy.is_function() {
-            worker();
-        } else {
-            let all = || {
-                std::thread::scope(|scope| (0..threads.clamp(1, count.max(1))).for_each(|_| drop(scope.spawn(worker))))
-            };
-            interruptibly(&stop, || {
-                all();
-                Ok(())
-            })?;
-        }
-        let mut played = played.into_inner().unwrap_or_else(PoisonError::into_inner);
-        played.sort_by_key(|(index, _)| *index);
-        played.into_iter().map(|(_, sample)| sample).collect()
-    }
-
-    fn trial(&self, index: usize) -> PyResult<Sample> {
-        let Work { experiment, conditions, policy, seed, sensing, beginnings } = self;
-        // The sample is invalid if a policy function has raised.
-        let sample =
-            trial::play_at(index, *experiment, conditions, *seed, &policy.agent, *sensing, beginnings.as_ref());
-        policy.check()?;
-        sample.map_err(failed)
-    }
 }
 
 /// Checks the names of experiments.
@@ -162,7 +121,7 @@ pub fn compare(
         if stop.load(Ordering::Relaxed) { Err(RunError::Stopped) } else { Ok(()) }
     };
     let measure = || {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().map_err(failed)?;
+        let pool = pool(threads)?;
         let run = |jobs: &[runner::Job]| pool.install(|| runner::run(jobs, &progress));
         study.measure(&experiments, sensing(estimated), run).map_err(failed)
     };
@@ -170,6 +129,10 @@ pub fn compare(
     let mut report = Report::new(&policies, name, CommandLine { experiments, options: Vec::new() });
     study.add_to(&mut report).map_err(failed)?;
     Ok(summary::json(&report))
+}
+
+fn pool(threads: usize) -> PyResult<ThreadPool> {
+    ThreadPoolBuilder::new().num_threads(threads).build().map_err(failed)
 }
 
 /// Does work on a thread of its own; Ctrl-C sets `stop`, and its exception replaces the result.

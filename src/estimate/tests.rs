@@ -210,9 +210,3 @@ fn nothing_can_start_without_both_sensors() {
     assert_eq!(fault, SensorFault::Missing("encoders"));
     assert!(estimator.estimate().is_none());
 }
-
-#[test]
-fn the_height_includes_the_foot_radius() {
-    let (estimator, truth) = standing();
-    assert!((estimator.estimate().unwrap().height_m - truth.position.z).abs() < 1e-9);
-}

@@ -6,7 +6,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 
 use crate::support::{
-    complaint, fails, metrics, program, refused, repository, robot, run, success, with_input, with_policy,
+    complaint, fails, metrics, program, refused, repository, robot, run, send_signal, success, with_input, with_policy,
     with_small_config,
 };
 
@@ -162,7 +162,7 @@ fn ctrl_c_while_a_run_is_set_up_stops_it() {
     let child = train.spawn().unwrap();
     // Open as soon as `train` opens it, which waits then for the configuration.
     let _writer = std::fs::File::options().write(true).open(pipe).unwrap();
-    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    send_signal("-INT", child.id());
     let output = child.wait_with_output().unwrap();
     assert_eq!(output.status.code(), Some(130));
     assert!(complaint(&output).contains("stopped before training began") && !folder.path().join("x").exists());

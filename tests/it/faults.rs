@@ -7,7 +7,7 @@ use std::time::Duration;
 use tempfile::TempDir;
 
 use crate::support::{
-    assert_same, complaint, metrics, refused, repository, run, small_config, success, with_small_config,
+    assert_same, complaint, metrics, refused, repository, run, send_signal, small_config, success, with_small_config,
 };
 
 /// Starts a long training run in a folder of its own and waits for its first metrics.
@@ -24,10 +24,6 @@ fn training() -> (TempDir, Child) {
         std::thread::sleep(Duration::from_millis(20));
     }
     (folder, child)
-}
-
-fn send(signal: &str, child: &Child) {
-    assert!(Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap().success());
 }
 
 #[test]
@@ -74,7 +70,7 @@ fn ctrl_c_and_sigterm_finish_the_iteration_and_say_how_to_resume() {
     for signal in ["-INT", "-TERM"] {
         let (folder, child) = training();
         refused("train", folder.path(), &["--resume", "run"], "another process is training in run");
-        send(signal, &child);
+        send_signal(signal, child.id());
         let output = child.wait_with_output().unwrap();
         assert!(output.status.success());
         assert!(complaint(&output).contains("train --resume run"), "{}", complaint(&output));
@@ -86,7 +82,7 @@ fn ctrl_c_and_sigterm_finish_the_iteration_and_say_how_to_resume() {
 fn training_goes_on_when_nobody_reads_its_words() {
     let (_folder, mut child) = training();
     let mut words = child.stderr.take().unwrap();
-    send("-INT", &child);
+    send_signal("-INT", child.id());
     // The first words, then the pipe is closed.
     words.read_exact(&mut [0]).unwrap();
     drop(words);

@@ -23,11 +23,6 @@ fn assert_usual(robot: &Robot, torque: f64) {
 }
 
 #[test]
-fn plain_robot_is_read_as_written() {
-    assert_usual(&foreign().robot(), 25.0);
-}
-
-#[test]
 fn words_that_nothing_reads_are_left_out() {
     let newer = Foreign {
         compiler: "angle='radian' alignfree='true' saveinertial='true' conflict='merge' savecompiled='false'",

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use supple::train::checkpoint::Checkpoint;
 
-use crate::support::{assert_same_run, complaint, metrics, program, run, small_config, success};
+use crate::support::{assert_same_run, complaint, metrics, program, run, send_signal, small_config, success};
 
 const START: [&str; 2] = ["--config", "small.yaml"];
 
@@ -99,17 +99,13 @@ fn is_alive(process: u32) -> bool {
     std::fs::read_to_string(format!("/proc/{process}/stat")).is_ok_and(|text| !text.contains(") Z"))
 }
 
-fn signal(name: &str, process: u32) {
-    assert!(Command::new("kill").args([name, &process.to_string()]).status().unwrap().success());
-}
-
 #[test]
 fn killed_rank_ends_all_and_the_run_can_be_resumed() {
     for (name, expected) in [("-KILL", "rank 3"), ("-STOP", "from rank 3 on ")] {
         let folder = folder();
         let (child, ranks) = started(4, folder.path());
         let from = Instant::now();
-        signal(name, ranks[3]);
+        send_signal(name, ranks[3]);
         let output = child.wait_with_output().unwrap();
         let told = complaint(&output);
         assert!(!output.status.success() && told.contains(expected), "{name}: {told}");
@@ -131,7 +127,7 @@ fn killed_rank_ends_all_and_the_run_can_be_resumed() {
 fn a_signal_to_one_rank_stops_all_after_the_same_iteration() {
     let folder = folder();
     let (child, ranks) = started(2, folder.path());
-    signal("-TERM", ranks[1]);
+    send_signal("-TERM", ranks[1]);
     success(child.wait_with_output().unwrap());
     let run = folder.path().join("run");
     let last = metrics(&run).pop().unwrap();

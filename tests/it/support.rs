@@ -75,6 +75,11 @@ pub fn program(name: &str) -> &'static str {
     path.unwrap_or_else(|| panic!("{name} is not of this package"))
 }
 
+/// Sends a signal, such as `-INT`, to a process.
+pub fn send_signal(name: &str, process: u32) {
+    assert!(Command::new("kill").args([name, &process.to_string()]).status().unwrap().success());
+}
+
 /// Runs one of the programs in a folder.
 pub fn run(name: &str, folder: &Path, arguments: &[&str]) -> Output {
     Command::new(program(name)).args(arguments).current_dir(folder).output().unwrap()

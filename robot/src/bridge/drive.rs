@@ -50,10 +50,6 @@ pub struct Settings {
     /// Commanded compliance (m/s/N) [default: the policy's own]
     #[arg(long, value_name = "C")]
     pub compliance: Option<f64>,
-    /// Commanded velocity at first: forward (m/s), left (m/s), turning (rad/s)
-    #[arg(long, value_name = "V,V,W", value_delimiter = ',', default_values_t = [0.0, 0.0, 0.0],
-          allow_hyphen_values = true)]
-    pub velocity: Vec<f64>,
     /// Delay of the joint targets (s) [default: that of the policy's training]
     #[arg(long, value_name = "S")]
     pub latency_s: Option<f64>,

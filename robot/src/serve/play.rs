@@ -160,8 +160,7 @@ impl<'a> Served<'a> {
         let operator = Operator::new(&script.command, full_sticks, standing_m);
         let recording = settings.record.as_ref().map(|path| Recording::start(path.clone(), &script)).transpose()?;
         let page = settings.page.then(|| open_page(settings, full_sticks, &script)).transpose()?;
-        let noise = (!settings.exact_sensors).then(SensorNoise::default);
-        let body = Body::new(script.clone(), config, noise, settings.seed)?;
+        let body = Body::new(script.clone(), config, Some(SensorNoise::default()), settings.seed)?;
         let trace = Trace { period_s: FRAME_S, weight_n: robot.mass_kg * GRAVITY_M_S2, ..Trace::default() };
         Ok(Served {
             settings,

@@ -25,9 +25,6 @@ pub struct Settings {
     /// Losses in the joints
     #[arg(long, value_enum, default_value = "ideal")]
     pub joints: JointLosses,
-    /// Sensors without noise
-    #[arg(long)]
-    pub exact_sensors: bool,
     /// Obey without a release of the robot's own controller, as simulators do
     #[arg(long)]
     pub released: bool,

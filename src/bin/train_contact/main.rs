@@ -86,12 +86,13 @@ fn run(args: &Args) -> anyhow::Result<()> {
     })?;
     bar.finish_and_clear();
 
+    let source = |(name, policy): (&String, &Agent)| PolicySource { name: name.clone(), sha256: policy.sha256.clone() };
     let mut network = ContactNetwork::new(
         learnt.mlp,
         learnt.offset,
         learnt.scale,
         ContactProvenance {
-            policies: sources(&names, &found),
+            policies: names.iter().zip(&found).map(source).collect(),
             seed: args.seed,
             training_episodes: training.len(),
             training_samples: all.labels.len() / 4,
@@ -147,11 +148,6 @@ fn join(episodes: &[ContactSamples]) -> ContactSamples {
         all.labels.extend(&episode.labels);
     }
     all
-}
-
-fn sources(names: &[String], policies: &[Agent]) -> Vec<PolicySource> {
-    let source = |(name, policy): (&String, &Agent)| PolicySource { name: name.clone(), sha256: policy.sha256.clone() };
-    names.iter().zip(policies).map(source).collect()
 }
 
 /// Computes the scores of each foot in held-out episodes, with the network used as in deployment.

@@ -114,49 +114,42 @@ mod tests {
     use crate::util::random::{Purpose, stream};
 
     #[test]
-    fn an_exported_policy_that_sees_its_last_action_acts_as_it_did() {
+    fn exported_policies_act_and_remember_as_they_did() {
         let mut config = Config::load("compliant").unwrap();
         config.observation.truncate(3);
         config.observation.push(Observed { scale: Some(Numbers::All(0.5)), ..Observed::now(Quantity::LastAction) });
-        assert_exported_acts_as_its_policy(config);
-    }
-
-    #[test]
-    fn an_exported_blind_policy_remembers_as_it_did() {
-        assert_exported_acts_as_its_policy(Config::load("real").unwrap());
-    }
-
-    fn assert_exported_acts_as_its_policy(config: Config) {
-        let inputs = config.layout().unwrap().length();
-        let mut rng = stream(3, Purpose::Weights, 0, 0);
-        let mut network = ActorCritic::orthogonal(inputs, &[16], JOINTS, -1.0, &mut rng);
-        // Otherwise its outputs are nearly zero.
-        network.policy.layers.iter_mut().flat_map(|layer| &mut layer.weight).for_each(|weight| *weight *= 3.0);
-        let policy = untrained(&network, config);
-        let folder = tempfile::tempdir().unwrap();
-        std::fs::write(folder.path().join("p.onnx"), onnx::export(&policy)).unwrap();
-        std::fs::write(folder.path().join("p.yaml"), describe(&policy, "p.onnx")).unwrap();
-        let exported = Agent::load(&folder.path().join("p.yaml")).unwrap();
-        let own = Agent::from(Policy::from_bytes(&policy.to_bytes().unwrap(), Path::new("p")).unwrap());
-        let (mut own, mut exported) = (own.inference().controller(), exported.inference().controller());
-        let mut before = own.rest();
-        for step in 0..8 {
-            let state = RobotState {
-                height: 0.3,
-                gravity_in_base: nalgebra::Vector3::new(0.1 * f64::from(step), 0.0, -9.8),
-                joint_angles: [0.1 * f64::from(step * step); JOINTS],
-                ..RobotState::default()
-            };
-            let targets = [&mut own, &mut exported].map(|controller| {
-                if step == 0 {
-                    controller.begin(&state);
-                }
-                controller.joint_targets(&state, &Command::default())
-            });
-            let [own, exported] = targets;
-            assert_ne!(own, before, "step {step}");
-            before = own;
-            assert!(own.iter().zip(exported).all(|(a, b)| (a - b).abs() < 1e-5), "{own:?} {exported:?}");
+        for (name, config) in [("last action", config), ("blind", Config::load("real").unwrap())] {
+            let inputs = config.layout().unwrap().length();
+            let mut rng = stream(3, Purpose::Weights, 0, 0);
+            let mut network = ActorCritic::orthogonal(inputs, &[16], JOINTS, -1.0, &mut rng);
+            // Otherwise its outputs are nearly zero.
+            network.policy.layers.iter_mut().flat_map(|layer| &mut layer.weight).for_each(|weight| *weight *= 3.0);
+            let policy = untrained(&network, config);
+            let folder = tempfile::tempdir().unwrap();
+            std::fs::write(folder.path().join("p.onnx"), onnx::export(&policy)).unwrap();
+            std::fs::write(folder.path().join("p.yaml"), describe(&policy, "p.onnx")).unwrap();
+            let exported = Agent::load(&folder.path().join("p.yaml")).unwrap();
+            let own = Agent::from(Policy::from_bytes(&policy.to_bytes().unwrap(), Path::new("p")).unwrap());
+            let (mut own, mut exported) = (own.inference().controller(), exported.inference().controller());
+            let mut before = own.rest();
+            for step in 0..8 {
+                let state = RobotState {
+                    height: 0.3,
+                    gravity_in_base: nalgebra::Vector3::new(0.1 * f64::from(step), 0.0, -9.8),
+                    joint_angles: [0.1 * f64::from(step * step); JOINTS],
+                    ..RobotState::default()
+                };
+                let targets = [&mut own, &mut exported].map(|controller| {
+                    if step == 0 {
+                        controller.begin(&state);
+                    }
+                    controller.joint_targets(&state, &Command::default())
+                });
+                let [own, exported] = targets;
+                assert_ne!(own, before, "{name}, step {step}");
+                before = own;
+                assert!(own.iter().zip(exported).all(|(a, b)| (a - b).abs() < 1e-5), "{name}: {own:?} {exported:?}");
+            }
         }
     }
 }

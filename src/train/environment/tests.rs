@@ -321,16 +321,3 @@ fn pulls_and_pushes_are_felt_in_the_step_in_which_they_act() {
     let [forward, left] = felt(&mut env);
     assert!((forward - 7.86).abs() < 0.5 && left == 100.0, "{forward}, {left}");
 }
-
-#[test]
-fn a_pull_moves_the_trunk() {
-    let mut config = Config { pulls: Some(pulls()), ..Config::load("fast").unwrap() };
-    (config.command.forward_m_s, config.command.left_m_s, config.episode.slope) = (0.0, 0.0, 0.0);
-    let left_m = |force: [f64; 2]| {
-        let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
-        replan(&mut env, [Disturbance::Pull(Pull::constant([0.0, 10.0], force))]);
-        (0..30).for_each(|_| drop(env.step(&[0.0; 12])));
-        env.world.sim().state().position.y
-    };
-    assert!(left_m([0.0, 20.0]) > left_m([0.0; 2]) + 0.001);
-}

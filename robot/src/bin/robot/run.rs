@@ -19,10 +19,8 @@ use crate::stop_flag;
 pub fn run(settings: &Settings) -> Result<()> {
     let agent = shipped::find(&settings.policy)?;
     let compliance = agent.resolve_compliance(None, settings.compliance).with_context(|| settings.policy.clone())?;
-    let [forward, left, yaw] = settings.velocity[..] else { anyhow::bail!("--velocity: expected three numbers") };
     let range = FullSticks::new(&agent.config.command);
-    range.check([forward, left, yaw]).map_err(|error| anyhow::anyhow!("--velocity: {error}"))?;
-    let command = Command { compliance, ..Command::velocity(forward, left, yaw) };
+    let command = Command { compliance, ..Command::default() };
     let stop = stop_flag()?;
     let (sender, orders) = channel();
     if let Some(port) = settings.udp {
