@@ -434,4 +434,32 @@ mod tests {
         assert!((data.positions()[3] - (2.0 - 0.307)).abs() < 0.01, "{}", data.positions()[3]);
         assert_eq!(data.positions()[0], 0.0);
     }
+
+    #[test]
+    fn a_ball_on_a_string_reaches_the_speed_of_its_fall() {
+        for height_m in [0.1_f64, 0.5, 1.0] {
+            let away_m = (1.0 - (1.0 - height_m).powi(2)).sqrt();
+            let xml = format!(
+                r#"<mujoco>
+  <option timestep="0.004166666666666667" integrator="Euler"/>
+  <tendon><spatial name="rope" {ROPE_LIMIT}><site site="pivot"/><site site="ball"/></spatial></tendon>
+  <worldbody>
+    <site name="pivot" pos="0 0 2"/>
+    <body name="ball" pos="{away_m} 0 {z}"><freejoint name="ball"/>
+      <geom name="ball" size="0.1" mass="3"/><site name="ball"/></body>
+  </worldbody>
+</mujoco>"#,
+                z = 1.0 + height_m,
+            );
+            let mut data = Data::new(Model::from_xml(&[("ball.xml", &xml)]).unwrap()).unwrap();
+            data.set_longest_tendon(0, 1.0);
+            while data.positions()[0] > 0.0 {
+                data.step1().unwrap();
+                data.step2().unwrap();
+            }
+            let speed = data.velocities()[0].hypot(data.velocities()[2]);
+            let expected = (2.0 * 9.81 * height_m).sqrt();
+            assert!((speed / expected - 1.0).abs() < 0.02, "from {height_m} m: {speed}, expected {expected}");
+        }
+    }
 }
