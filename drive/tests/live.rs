@@ -103,6 +103,22 @@ fn speed_scene_and_robots_change_while_running() {
 }
 
 #[test]
+fn only_one_page_drives_at_a_time() {
+    let (_folder, drive, mut first) = start(&["--policy", "compliant"]);
+    let mut second = drive.page();
+    first.wait_for("the first to drive", &[("/driver", json!(first.me))]);
+    second.send(&json!({ "scene": "box" }));
+    second.send(&json!({ "command": [0.5, 0.0, 0.0] }));
+    first.ask_for([0.0, 0.0, 0.3], Duration::from_millis(500));
+    assert_eq!(first.state["scene"], "flat");
+    assert_eq!(first.state["robots"][0]["reading"]["command"], json!([0.0, 0.0, 0.3]));
+    second.send(&json!("drive"));
+    second.ask_for([0.2, 0.0, 0.0], Duration::from_millis(500));
+    assert_eq!(second.state["driver"], second.me);
+    assert_eq!(second.state["robots"][0]["reading"]["command"], json!([0.2, 0.0, 0.0]));
+}
+
+#[test]
 fn wrong_origin_token_or_host_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let drive = Drive::start(folder.path(), &["--policy", "compliant"]);

@@ -46,8 +46,8 @@ impl Drive {
     /// Opens the socket of a page.
     pub fn page(&self) -> Page {
         let socket = self.open("/control");
-        let mut page = Page { socket, state: Value::Null };
-        page.wait("a greeting", |_, message| message["hello"]["page"].as_u64());
+        let mut page = Page { socket, state: Value::Null, me: 0 };
+        page.me = page.wait("a greeting", |_, message| message["hello"]["page"].as_u64());
         page
     }
 
@@ -115,6 +115,7 @@ pub struct Page {
     pub socket: WebSocket<TcpStream>,
     /// The newest state that the program sent.
     pub state: Value,
+    pub me: u64,
 }
 
 impl Page {
