@@ -176,7 +176,7 @@ mod tests {
         let high = "protocol section terrain, condition 300 cm, 0.5 /m: --height-m is 3, expected 0 to 2 m";
         assert_eq!(refusal("terrain: {heights_m: [3.0]}", Protocol::load), high);
         assert_eq!(refusal("terrain: {heights_m: [3.0]}", |path| Protocol::exam(Some(path))), high);
-        let steep = "protocol section outdoor, condition to 500 %: --steepest is 5, expected 0 to 2";
+        let steep = "protocol section outdoor, condition slopes to 500 %: --steepest is 5, expected 0 to 2";
         let text = "terrain: {heights_m: [0.05], frequencies_per_m: [0.5]}\noutdoor: {steepest: [5]}";
         assert_eq!(refusal(text, Protocol::load), steep);
     }

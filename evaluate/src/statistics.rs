@@ -378,7 +378,10 @@ mod tests {
         assert_eq!(Verdict::from_bound(0.035, &kept), Verdict::Fails);
         let third = Comparison::new([kept.sets.clone(), vec![Numbers::new(per_seed(&[9.0, 8.0]), 2)]].concat());
         assert_eq!(Verdict::from_bound(0.05, &third), Verdict::Holds);
-        assert_eq!(Verdict::from_bound(0.05, &kept.clone().with_trials(Trials { used: 3, of: 4 })), Verdict::Incomplete);
+        assert_eq!(
+            Verdict::from_bound(0.05, &kept.clone().with_trials(Trials { used: 3, of: 4 })),
+            Verdict::Incomplete
+        );
         let one_fell =
             Comparison::new(vec![Numbers::new(per_seed(&[0.02]), 2), Numbers::new(per_seed(&[0.02, 0.03]), 2)]);
         assert_eq!(Verdict::from_bound(0.05, &one_fell), Verdict::Incomplete);

@@ -75,7 +75,7 @@ impl Scene {
     /// Creates the training scene: the robot alone on a plane.
     pub fn flat(robot: Arc<Robot>, timestep_s: f64) -> Self {
         let (ground, obstacles, extras, solver) = (Ground::Flat, String::new(), String::new(), "");
-        let buffers = Buffers { contacts: 32, rows: 200, stack: 20_000 };
+        let buffers = Buffers { contacts: 40, rows: 280, stack: 30_000 };
         let (extra_mass_kg, rolling_m, lists_pairs) = (0.0, 0.0, false);
         Scene { robot, extra_mass_kg, rolling_m, ground, timestep_s, obstacles, extras, lists_pairs, solver, buffers }
     }
@@ -122,6 +122,7 @@ impl Scene {
     /// Returns the MJCF text that MuJoCo compiles; it includes the robot.
     pub fn xml(&self, discard_visual: bool) -> String {
         let Buffers { contacts, rows, stack } = self.buffers;
+        let rows = if self.rolling_m > 0.0 { rows * 3 / 2 } else { rows };
         let [settings, sun] = if discard_visual { ["", ""] } else { [look::SETTINGS, look::SUN] };
         let mut xml = String::new();
         // Writing into a String cannot fail.
@@ -172,7 +173,11 @@ impl Scene {
     /// Returns the friction of the ground, and the dimension of its contacts.
     fn friction(&self) -> ([f64; 3], usize) {
         let [sliding, torsional, rolling] = FRICTION;
-        if self.rolling_m > 0.0 { ([sliding, torsional, self.rolling_m], 6) } else { ([sliding, torsional, rolling], 3) }
+        if self.rolling_m > 0.0 {
+            ([sliding, torsional, self.rolling_m], 6)
+        } else {
+            ([sliding, torsional, rolling], 3)
+        }
     }
 
     fn ground_asset(&self) -> String {

@@ -21,9 +21,7 @@ use crate::mujoco;
 use crate::network::ActorCritic;
 use crate::observation::Layout;
 use crate::policy::{Policy, Provenance, shipped};
-use crate::ppo::{
-    Learner, LearnerState, PrecisionError, Samples, UpdateFault, learner, resolved, weight_after,
-};
+use crate::ppo::{Learner, LearnerState, PrecisionError, Samples, UpdateFault, learner, resolved, weight_after};
 use crate::provenance;
 use crate::ranks::{Alone, RankError, Ranks, agree, sum_over_samples};
 use crate::robot::JOINTS;

@@ -149,7 +149,7 @@ fn the_pairs_of_the_flat_scene_are_all_contacts_there_are() {
         }
     }
     // Trunk, head, and hip, thigh, calf and foot of each leg.
-    assert_eq!(touched.len(), 18, "{touched:?}");
+    assert_eq!(touched.len(), 22, "{touched:?}");
 }
 
 #[test]

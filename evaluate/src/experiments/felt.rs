@@ -167,8 +167,14 @@ impl Felt {
         ] {
             groups.push(Group::new(name, Role::Rough, [scenario], |scenario| (String::new(), scenario)));
         }
-        let masses = self.extra_masses_kg.iter().map(|mass| (format!("{mass:+} kg on the trunk").replace('-', "−"), [*mass, 0.0]));
-        let rolling = self.rolling_m.iter().map(|rolling| (format!("{} mm of rolling friction", 1000.0 * rolling), [0.0, *rolling]));
+        let masses = self
+            .extra_masses_kg
+            .iter()
+            .map(|mass| (format!("{mass:+} kg on the trunk").replace('-', "−"), [*mass, 0.0]));
+        let rolling = self
+            .rolling_m
+            .iter()
+            .map(|rolling| (format!("{} mm of rolling friction", 1000.0 * rolling), [0.0, *rolling]));
         for (name, unknown) in masses.chain(rolling) {
             groups.push(Group::new(format!("{name}, pulled"), Role::Pulled, by_side.clone(), |(command, side)| {
                 (format!("{}, 20 N, {side:.0}°", gait(command)), pull(command, 20.0, side, unknown))
