@@ -148,7 +148,7 @@ fn the_pairs_of_the_flat_scene_are_all_contacts_there_are() {
             (found, expected) => assert_eq!(found.is_some(), expected.is_some()),
         }
     }
-    // Trunk, head, and hip, thigh, calf and foot of each leg.
+    // Trunk, head, and hip, thigh, both parts of the calf and the foot of each leg.
     assert_eq!(touched.len(), 22, "{touched:?}");
 }
 

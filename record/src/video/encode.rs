@@ -60,7 +60,7 @@ impl Encoder {
     pub(super) fn new(format: Format, size: [usize; 2]) -> Result<Self> {
         let [width, height] = size;
         let kind = match format {
-            Format::Mp4 => Kind::Mp4(Box::new(Mp4::new(size)?)),
+            Format::Mp4 => Kind::Mp4(Box::new(Mp4::new()?)),
             Format::WebP => {
                 let encoding_config = Some(EncodingConfig::new_lossy(WEBP_QUALITY));
                 let options = EncoderOptions { encoding_config, ..EncoderOptions::default() };
@@ -73,7 +73,6 @@ impl Encoder {
 
     /// Adds a picture, shape (height, width, 3).
     pub(super) fn frame(&mut self, rgb: &[u8]) -> Result<()> {
-        let [width, height] = self.size;
         match &mut self.kind {
             Kind::Mp4(mp4) => mp4.frame(rgb, self.size)?,
             Kind::WebP(webp) => {
@@ -102,7 +101,7 @@ struct Mp4 {
 }
 
 impl Mp4 {
-    fn new([width, height]: [usize; 2]) -> Result<Self> {
+    fn new() -> Result<Self> {
         // The same quantisation for every picture: with a bit rate, OpenH264 prints a warning unless it may leave pictures out.
         let config = EncoderConfig::new()
             .rate_control_mode(RateControlMode::Off)
