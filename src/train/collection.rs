@@ -341,7 +341,7 @@ mod tests {
         let found: Vec<(u64, String)> =
             faults.iter().map(|fault| (fault.environment, fault.error.to_string())).collect();
         let expected = if FIXED_BUFFERS {
-            vec![(1, "unstable"), (2, "contacts is full at 32"), (3, "contacts is full at 8"), (4, "stack overflow")]
+            vec![(1, "unstable"), (2, "contacts is full at 40"), (3, "contacts is full at 8"), (4, "stack overflow")]
         } else {
             vec![(1, "unstable"), (2, "unstable"), (4, "stack overflow")]
         };
