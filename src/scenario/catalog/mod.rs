@@ -259,7 +259,7 @@ pub struct Task {
     #[arg(long)]
     #[serde(default, skip_serializing_if = "is_zero")]
     pub extra_mass_kg: f64,
-    /// Rolling friction of the feet (m) [default: 0, contacts that do not resist rolling]
+    /// Rolling friction of the ground, except in `outdoor` (m) [default: 0, contacts that do not resist rolling]
     #[arg(long)]
     #[serde(default, skip_serializing_if = "is_zero")]
     pub rolling_m: f64,
