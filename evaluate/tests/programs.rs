@@ -16,7 +16,7 @@ use support::{broken_policy, complaint, example, fails, refused, run, standing_p
 
 /// The smallest protocol that runs every experiment.
 const TINY: &str = "
-walk: {commands: [[0.5, 0.0, 0.0], [0.0, 0.0, 0.0]]}
+walk: {commands: [[0.5, 0.0, 0.0], [0.0, 0.0, 0.0]], payloads_kg: [5.0], trials: 2}
 push_grid: {points_per_side: 3, trials: 2}
 decay: {trials: 2}
 table4: {trials: 2}
@@ -32,6 +32,10 @@ outdoor: {steepest: [0.1], trials: 1}
 pull: {forces_n: [20.0], directions: 3, trials: 1}
 wall: {trials: 1}
 lead: {commands_m_s: [0.0], directions: 3, trials: 1}
+felt: {forces_n: [20.0], directions: 3, sides_deg: [90.0], heights_m: [0.1], walks: [[0.5, 0.0, 0.0]], trials: 1}
+calibration: {compliances: [0.02], commands_m_s: [0.5], directions: 3, forces_n: [10.0], trials: 1}
+shove: {directions: 3, trials: 1, shoves: 3}
+set_point: {compliances: [0.02], directions: 3, trials: 1}
 ";
 
 /// The experiments without many loose bodies, which take seconds even if nothing moves.
@@ -129,7 +133,6 @@ fn row<'a>(of: &'a Value, table: &str, condition: &str, quantity: &str) -> &'a V
 #[test]
 fn examination_grades_a_policy_beside_the_references() {
     let place = Place::new(&[("mine", falling_policy())]);
-    place.write("tiny.yaml", format!("{TINY}calibration: {{compliances: [0.02],commands_m_s: [0.5],directions: 3}}\n"));
     let notes = place.evaluate("--exam policies/mine.safetensors --out exam");
     let exam: Value = serde_json::from_str(&place.read("exam/exam.json")).unwrap();
     assert_eq!(exam["names"], json!(["mine", "compliant", "baseline"]));

@@ -62,6 +62,8 @@ pub const MEASURES: &[Measure] = &[
     measure("peak torque", "N·m", "shove", "peak_torque_n_m", |scenario, found| within(scenario, 0.1, found)),
     measure("power", "W", "walk", "power_w", at_half),
     measure("velocity error", "m/s", "walk", "velocity_error_m_s", at_half),
+    measure("power with payload", "W", "walk", "power_w", with_payload),
+    measure("velocity error with payload", "m/s", "walk", "velocity_error_m_s", with_payload),
 ];
 
 /// Returns the number if shoves last `for_s` \[s\].
@@ -72,7 +74,13 @@ fn within(scenario: &Scenario, for_s: f64, found: f64) -> Option<f64> {
 /// Returns the number if the robot walks straight ahead at 0.5 m/s.
 fn at_half(scenario: &Scenario, found: f64) -> Option<f64> {
     let task = scenario.task();
-    ([task.forward_m_s, task.left_m_s, task.yaw_rad_s] == [0.5, 0.0, 0.0]).then_some(found)
+    let command = [task.forward_m_s, task.left_m_s, task.yaw_rad_s];
+    (command == [0.5, 0.0, 0.0] && task.extra_mass_kg == 0.0).then_some(found)
+}
+
+/// Returns the number if the robot carries a payload.
+fn with_payload(scenario: &Scenario, found: f64) -> Option<f64> {
+    (scenario.task().extra_mass_kg > 0.0).then_some(found)
 }
 
 impl Measure {

@@ -31,6 +31,8 @@ pub struct Walk {
     pub trials: u32,
     /// The commands: forward \[m/s\], left \[m/s\], yaw rate \[rad/s\].
     pub commands: Vec<[f64; 3]>,
+    /// The masses that the robot carries at its trunk, walking at the first command \[kg\].
+    pub payloads_kg: Vec<f64>,
     /// The paper's bound on the velocity error \[m/s\].
     pub error_bound_m_s: f64,
 }
@@ -73,9 +75,9 @@ impl Walk {
 }
 
 /// Returns a note about the velocity error over all commands, which the paper does not report.
-fn mean_error_note(results: &Results) -> String {
+fn mean_error_note(results: &Results, commands: usize) -> String {
     let quantity = results.quantity("velocity_error_m_s");
-    let all: Vec<usize> = (0..results.conditions.len()).collect();
+    let all: Vec<usize> = (0..commands).collect();
     let comparison = results.compare_over(&all, quantity.name);
     let sets = comparison.sets.iter().zip(&results.names);
     let cells: Vec<String> = sets.map(|(set, name)| format!("{} {name}", spread(set, quantity, " m/s"))).collect();
@@ -99,19 +101,27 @@ impl Experiment for Walk {
         ExperimentInfo {
             paper: "Fig. 5, caption",
             method: "The policy walks on flat ground without disturbance. Errors are mean velocity minus command from \
-                     2 s on, in the heading frame; the velocity error is the length of the horizontal one. Only sensor \
-                     noise is random, in trials on sensors.",
+                     2 s on, in the heading frame; the velocity error is the length of the horizontal one. Payloads \
+                     are masses on the trunk. Only sensor noise is random, in trials on sensors.",
             ..ExperimentInfo::new("E0", 0, "walk", "Walking undisturbed", QUANTITIES, self.trials)
         }
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let base: WalkScenario = defaults("walk")?;
-        Ok(conditions(&self.commands, |command| {
-            let [forward_m_s, left_m_s, yaw_rad_s] = *command;
-            let task = Task { forward_m_s, left_m_s, yaw_rad_s, ..base.task.clone() };
-            (label(*command), Scenario::Walk(WalkScenario { task }))
+        let walks = self.commands.iter().map(|command| (*command, 0.0));
+        let carrying = self.commands.first().into_iter().flat_map(|first| self.payloads_kg.iter().map(|kg| (*first, *kg)));
+        Ok(conditions(walks.chain(carrying), |(command, extra_mass_kg)| {
+            let [forward_m_s, left_m_s, yaw_rad_s] = command;
+            let carried = if extra_mass_kg == 0.0 { String::new() } else { format!(", carrying {extra_mass_kg} kg") };
+            let task = Task { forward_m_s, left_m_s, yaw_rad_s, extra_mass_kg, ..base.task.clone() };
+            (label(command) + &carried, Scenario::Walk(WalkScenario { task }))
         }))
+    }
+
+    fn check(&self) -> Result<(), ParameterError> {
+        let payloads = self.payloads_kg.iter();
+        payloads.copied().try_for_each(|kg| in_range("payloads_kg", kg, 0.1, 10.0, "0.1 to 10 kg"))
     }
 
     fn measure(&self, trial: &Trial) -> TrialValues {
@@ -147,6 +157,7 @@ impl Experiment for Walk {
             &["velocity_error_m_s", "power_w"],
             "Commands forward and left are in m/s, turns to the left in rad/s.",
         );
-        section.content.notes.extend(std::iter::once(mean_error_note(results)).chain(self.warnings(results)));
+        let notes = std::iter::once(mean_error_note(results, self.commands.len())).chain(self.warnings(results));
+        section.content.notes.extend(notes);
     }
 }
