@@ -609,19 +609,19 @@ fn faults_are_named_and_end_with_two() {
     let output = place.attempt(&[&["walk", "--out", "report"], &sets[..]].concat());
     let words = complaint(&output);
     assert_eq!(output.status.code(), Some(2), "{words}");
-    // Twenty trials of two commands.
-    assert!(words.contains("experiment walk: 40 of 40 trials of mine ended in a fault"), "{words}");
+    // Two trials of two commands and of one payload.
+    assert!(words.contains("experiment walk: 6 of 6 trials of mine ended in a fault"), "{words}");
     assert!(words.contains("FR_hip is NaN"), "{words}");
     // A line for each policy, with what is left.
     let lines: Vec<&str> = words.lines().filter(|line| line.starts_with("E0 walk, ")).collect();
-    assert!(lines[0].starts_with("E0 walk, mine: 40 trials in ") && lines[0].contains("; 40 trials left, "), "{words}");
-    assert!(lines[1].starts_with("E0 walk, ours: 40 trials in ") && !lines[1].contains("left"), "{words}");
+    assert!(lines[0].starts_with("E0 walk, mine: 6 trials in ") && lines[0].contains("; 6 trials left, "), "{words}");
+    assert!(lines[1].starts_with("E0 walk, ours: 6 trials in ") && !lines[1].contains("left"), "{words}");
     let table = String::from_utf8(output.stdout).unwrap();
     assert!(table.contains("Walking") && table.contains("does not hold for"), "{table}");
     assert!(table.lines().all(|line| line.chars().count() <= 80), "{table}");
     let summary = place.summary("report");
     let trials = &experiment(&summary, "walk")["trials"];
-    assert_eq!((&trials["mine"]["faults"], &trials["ours"]["faults"]), (&40.into(), &0.into()));
+    assert_eq!((&trials["mine"]["faults"], &trials["ours"]["faults"]), (&6.into(), &0.into()));
     assert!(place.read("report/report.html").contains("FR_hip is NaN"));
 }
 

@@ -110,7 +110,8 @@ impl Experiment for Walk {
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let base: WalkScenario = defaults("walk")?;
         let walks = self.commands.iter().map(|command| (*command, 0.0));
-        let carrying = self.commands.first().into_iter().flat_map(|first| self.payloads_kg.iter().map(|kg| (*first, *kg)));
+        let carrying =
+            self.commands.first().into_iter().flat_map(|first| self.payloads_kg.iter().map(|kg| (*first, *kg)));
         Ok(conditions(walks.chain(carrying), |(command, extra_mass_kg)| {
             let [forward_m_s, left_m_s, yaw_rad_s] = command;
             let carried = if extra_mass_kg == 0.0 { String::new() } else { format!(", carrying {extra_mass_kg} kg") };
