@@ -317,6 +317,11 @@ pub struct Reward {
     /// Sharpness of `r_lin` and `r_ang`; 8 in the paper.
     #[garde(custom(within(0.0..=1e6, "")))]
     pub tracking_sharpness: f64,
+    /// Time constant of the mean of velocity minus command that `r_lin` and `r_ang` read; 0, the paper's: its value at the end of the
+    /// step. The velocity within a stride then costs nothing, which a calm gait needs \[s\].
+    #[serde(default)]
+    #[garde(custom(within(0.0..=10.0, " s")))]
+    pub tracking_time_s: f64,
     /// Sharpness of the height in `r_pose`; 10 in the paper [1/m²].
     #[garde(custom(within(0.0..=1e6, " per m²")))]
     pub height_sharpness: f64,

@@ -31,6 +31,8 @@ pub struct RewardInput<'a> {
     pub targets: &'a [Joints; 3],
     /// Command to the policy, base frame.
     pub command: &'a Command,
+    /// Velocity minus command, forward, left [m/s] and yaw [rad/s], base frame, a mean over `tracking_time_s`.
+    pub velocity_error: &'a [f64; 3],
     /// Power and torque over the step.
     pub summary: &'a StepSummary,
     /// Swings that ended in the step.
@@ -112,7 +114,7 @@ pub const TERMS: &[TermDefinition] = &[
         "r_lin",
         Part::Positive,
         |w| w.linear_velocity,
-        |step| linear_velocity(step.state, step.command, step.config.tracking_sharpness),
+        |step| linear_velocity(step.velocity_error, step.config.tracking_sharpness),
     ),
     define(
         Term::AngularVelocity,
@@ -120,7 +122,7 @@ pub const TERMS: &[TermDefinition] = &[
         "r_ang",
         Part::Positive,
         |w| w.angular_velocity,
-        |step| angular_velocity(step.state, step.command, step.config.tracking_sharpness),
+        |step| angular_velocity(step.velocity_error, step.config.tracking_sharpness),
     ),
     define(Term::Energy, "energy", "r_e [W]", Part::Negative, |w| w.energy, |step| step.summary.power_w),
     define(Term::Torque, "torque", "r_τ [N²·m²]", Part::Negative, |w| w.torque, |step| step.summary.squared_torque),
@@ -217,17 +219,22 @@ impl<'de> Deserialize<'de> for Terms {
     }
 }
 
+/// Moves the mean of velocity minus command, forward, left [m/s] and yaw [rad/s], by a step towards that of the state.
+pub fn average_error(mean: &mut [f64; 3], state: &RobotState, command: &Command, period_s: f64, time_s: f64) {
+    let (velocity, yaw) = (state.velocity_in_base, state.angular_velocity_in_base.z);
+    let errors = [velocity.x - command.forward, velocity.y - command.left, yaw - command.yaw];
+    let kept = (-period_s / time_s).exp();
+    mean.iter_mut().zip(errors).for_each(|(mean, error)| *mean = error + kept * (*mean - error));
+}
+
 /// Computes `r_lin = exp(−8 ((v_x − v_x*)² + (v_z − v_z*)²))`.
-pub fn linear_velocity(state: &RobotState, command: &Command, sharpness: f64) -> f64 {
-    let left = state.velocity_in_base.y - command.left;
-    let forward = state.velocity_in_base.x - command.forward;
+pub fn linear_velocity([forward, left, _]: &[f64; 3], sharpness: f64) -> f64 {
     (-sharpness * (left * left + forward * forward)).exp()
 }
 
 /// Computes `r_ang = exp(−8 (ω − ω*)²)` of the yaw rate.
-pub fn angular_velocity(state: &RobotState, command: &Command, sharpness: f64) -> f64 {
-    let error = state.angular_velocity_in_base.z - command.yaw;
-    (-sharpness * error * error).exp()
+pub fn angular_velocity([_, _, yaw]: &[f64; 3], sharpness: f64) -> f64 {
+    (-sharpness * yaw * yaw).exp()
 }
 
 /// Computes `r_pose = φ² + ψ² + 10 (y − y_des)²`.
@@ -343,18 +350,32 @@ mod tests {
         assert!((found - expected).abs() < 1e-9, "{found} instead of {expected}");
     }
 
+    /// Returns the mean error of [`state`] against a command, from a mean of zero.
+    fn error(command: &Command, period_s: f64, time_s: f64) -> [f64; 3] {
+        let mut mean = [0.0; 3];
+        average_error(&mut mean, &state(), command, period_s, time_s);
+        mean
+    }
+
     #[test]
     fn linear_velocity_term_is_a_bell_over_the_horizontal_error() {
         let command = Command::velocity(0.5, 0.2, 0.0);
         // exp(−8 ((−0.1 − 0.2)² + (0.7 − 0.5)²)) = exp(−8 · 0.13) = exp(−1.04)
-        close(linear_velocity(&state(), &command, 8.0), 0.353_454_681_95);
+        close(linear_velocity(&error(&command, 0.02, 0.0), 8.0), 0.353_454_681_95);
     }
 
     #[test]
     fn angular_velocity_term_looks_at_the_yaw_rate_alone() {
         let command = Command::velocity(0.0, 0.0, -0.2);
         // exp(−8 · 0.5²) = exp(−2)
-        close(angular_velocity(&state(), &command, 8.0), 0.135_335_283_236_612_7);
+        close(angular_velocity(&error(&command, 0.02, 0.0), 8.0), 0.135_335_283_236_612_7);
+    }
+
+    #[test]
+    fn tracking_is_of_the_mean_error_where_it_has_a_time() {
+        // (0.7 − 0.5) (1 − ½), (−0.1 − 0.2) / 2 and (0.3 + 0.2) / 2 after one time of half-life
+        let found = error(&Command::velocity(0.5, 0.2, -0.2), 0.1 * 2.0_f64.ln(), 0.1);
+        found.iter().zip([0.1, -0.15, 0.25]).for_each(|(&found, expected)| close(found, expected));
     }
 
     #[test]
