@@ -70,6 +70,7 @@ enum Term {
     Pose,
     FootClearance,
     FootHeight,
+    VelocityError,
     Flight,
 }
 
@@ -106,7 +107,7 @@ const fn define(
     TermDefinition { term, name, symbol, part, weight, value }
 }
 
-/// The terms of Table II in order, and `r_f`.
+/// The terms of Table II in order, `r_v` and `r_f`.
 pub const TERMS: &[TermDefinition] = &[
     define(
         Term::LinearVelocity,
@@ -136,6 +137,14 @@ pub const TERMS: &[TermDefinition] = &[
         |step| foot_clearance(&step.state.feet, step.config.foot_height_m),
     ),
     define(Term::FootHeight, "foot_height", "r_h", Part::Positive, |w| w.foot_height, |step| step.landings.foot_height),
+    define(
+        Term::VelocityError,
+        "velocity_error",
+        "r_v [m/s]",
+        Part::Negative,
+        |w| w.velocity_error,
+        |step| step.velocity_error[0].hypot(step.velocity_error[1]),
+    ),
     define(Term::Flight, "flight", "r_f", Part::Negative, |w| w.flight, |step| step.landings.flight_fraction),
 ];
 
@@ -179,7 +188,7 @@ impl Terms {
 
     /// Returns these terms with the tracking terms of `other`, as in the recovery stage.
     pub fn with_tracking_of(mut self, other: &Terms) -> Terms {
-        for term in [Term::LinearVelocity, Term::AngularVelocity] {
+        for term in [Term::LinearVelocity, Term::AngularVelocity, Term::VelocityError] {
             self.0[term as usize] = other.0[term as usize];
         }
         self
@@ -339,10 +348,10 @@ mod tests {
         }
     }
 
-    /// Creates terms from those of Table II in order, and `r_f`; further ones are zero.
-    fn terms(values: [f64; 8]) -> Terms {
+    /// Creates terms from those of Table II in order, `r_v` and `r_f`; further ones are zero.
+    fn terms(values: [f64; 9]) -> Terms {
         let mut terms = Terms::default();
-        terms.0[..8].copy_from_slice(&values);
+        terms.0[..9].copy_from_slice(&values);
         terms
     }
 
@@ -416,28 +425,31 @@ mod tests {
     #[test]
     fn total_follows_equations_one_to_three() {
         // In the order of Table II.
-        let all = terms([0.9, 0.8, 40.0, 160.0, 0.05, 0.01, 0.25, 0.5]);
+        let all = terms([0.9, 0.8, 40.0, 160.0, 0.05, 0.01, 0.25, 0.1, 0.5]);
         // r_pos = 0.8·0.9 + 0.5·0.8 − 0.7·0.25 = 0.945
         // r_neg = −0.015·40 − 0.0015·160 − 2·0.05 − 0.1·0.01 = −0.941
         close(all.total(&weights()), 0.945 * (0.45_f64 * -0.941).exp());
         // − 2 · 0.5
         let against_hops = Reward { flight: -2.0, ..weights() };
         close(all.total(&against_hops), 0.945 * (0.45_f64 * -1.941).exp());
+        // − 4 · 0.1
+        let against_lag = Reward { velocity_error: -4.0, ..weights() };
+        close(all.total(&against_lag), 0.945 * (0.45_f64 * -1.341).exp());
     }
 
     #[test]
     fn reward_is_never_negative() {
-        let all = terms([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 4.0, 0.0]);
+        let all = terms([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 4.0, 0.0, 0.0]);
         assert_eq!(all.total(&weights()), 0.0);
     }
 
     #[test]
     fn terms_are_kept_by_name_and_one_that_a_file_lacks_is_zero() {
-        let all = terms([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0]);
+        let all = terms([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0]);
         let json = serde_json::to_string(&all).unwrap();
         assert!(json.starts_with(r#"{"linear_velocity":1.0,"angular_velocity":2.0,"energy":3.0,"#), "{json}");
         assert_eq!(serde_json::from_str::<Terms>(&json).unwrap(), all);
         let old = serde_json::from_str::<Terms>(r#"{"pose": 5.0}"#).unwrap();
-        assert_eq!(old, terms([0.0, 0.0, 0.0, 0.0, 5.0, 0.0, 0.0, 0.0]));
+        assert_eq!(old, terms([0.0, 0.0, 0.0, 0.0, 5.0, 0.0, 0.0, 0.0, 0.0]));
     }
 }
