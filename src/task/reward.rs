@@ -1,9 +1,9 @@
 /*! The reward: Table II and equations 1 to 3, every term its own function.
 
-`r = max(0, w_lin r_lin + w_ang r_ang + w_h r_h) · exp(0.45 (w_e r_e + w_τ r_τ + w_pose r_pose + w_cl r_cl + w_f r_f))`
+`r = max(0, w_lin r_lin + w_ang r_ang + w_h r_h) · exp(0.45 (w_e r_e + w_τ r_τ + w_pose r_pose + w_cl r_cl + w_v r_v + w_f r_f))`
 
-The last term, `r_f`, is not the paper's: the paper's reward does not distinguish a trot from hopping on all fours, and
-some runs learn to hop. Its weight is zero unless a configuration sets it.
+The last two terms are not the paper's, and their weights are zero unless a configuration sets them. `r_v` is the distance of
+the velocity from the command. `r_f` tells a trot from hopping on all fours, which some runs learn.
 
 Interpretations where the paper leaves room: `r_e` is the sum of the joints' absolute powers; `r_e` and `r_τ` are means
 over the physics steps of a policy step; `ω_z` in `r_ang` is the yaw rate; a foot's height is that of its lowest point;
