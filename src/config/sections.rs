@@ -311,11 +311,11 @@ pub struct Reward {
     /// Weight `w_h` of the foot height cost; not above zero.
     #[garde(custom(cost))]
     pub foot_height: f64,
-    /// Weight of the distance of the mean velocity from the command, a cost that is not in the paper: near the command `r_lin` is
-    /// flat, so that a dear power is saved by walking more slowly. Not above zero \[s/m\].
+    /// Weight of the velocity's lag behind the command, a cost that is not in the paper: a velocity ahead is paid as one behind
+    /// costs, so that only its mean counts. It is to outweigh what a dear power saves by walking more slowly. Not above zero \[s/m\].
     #[serde(default)]
     #[garde(custom(cost))]
-    pub velocity_error: f64,
+    pub lag: f64,
     /// Weight `w_f` of the time in flight, a cost that is not in the paper; not above zero.
     #[garde(custom(cost))]
     pub flight: f64,

@@ -2,8 +2,8 @@
 
 `r = max(0, w_lin r_lin + w_ang r_ang + w_h r_h) · exp(0.45 (w_e r_e + w_τ r_τ + w_pose r_pose + w_cl r_cl + w_v r_v + w_f r_f))`
 
-The last two terms are not the paper's, and their weights are zero unless a configuration sets them. `r_v` is the distance of
-the velocity from the command. `r_f` tells a trot from hopping on all fours, which some runs learn.
+The last two terms are not the paper's, and their weights are zero unless a configuration sets them. `r_v` is the lag of
+the velocity behind the command. `r_f` tells a trot from hopping on all fours, which some runs learn.
 
 Interpretations where the paper leaves room: `r_e` is the sum of the joints' absolute powers; `r_e` and `r_τ` are means
 over the physics steps of a policy step; `ω_z` in `r_ang` is the yaw rate; a foot's height is that of its lowest point;
@@ -70,7 +70,7 @@ enum Term {
     Pose,
     FootClearance,
     FootHeight,
-    VelocityError,
+    Lag,
     Flight,
 }
 
@@ -137,14 +137,7 @@ pub const TERMS: &[TermDefinition] = &[
         |step| foot_clearance(&step.state.feet, step.config.foot_height_m),
     ),
     define(Term::FootHeight, "foot_height", "r_h", Part::Positive, |w| w.foot_height, |step| step.landings.foot_height),
-    define(
-        Term::VelocityError,
-        "velocity_error",
-        "r_v [m/s]",
-        Part::Negative,
-        |w| w.velocity_error,
-        |step| step.velocity_error[0].hypot(step.velocity_error[1]),
-    ),
+    define(Term::Lag, "lag", "r_v [m/s]", Part::Negative, |w| w.lag, |step| lag(step.state, step.command)),
     define(Term::Flight, "flight", "r_f", Part::Negative, |w| w.flight, |step| step.landings.flight_fraction),
 ];
 
@@ -188,7 +181,7 @@ impl Terms {
 
     /// Returns these terms with the tracking terms of `other`, as in the recovery stage.
     pub fn with_tracking_of(mut self, other: &Terms) -> Terms {
-        for term in [Term::LinearVelocity, Term::AngularVelocity, Term::VelocityError] {
+        for term in [Term::LinearVelocity, Term::AngularVelocity, Term::Lag] {
             self.0[term as usize] = other.0[term as usize];
         }
         self
@@ -244,6 +237,13 @@ pub fn linear_velocity([forward, left, _]: &[f64; 3], sharpness: f64) -> f64 {
 /// Computes `r_ang = exp(−8 (ω − ω*)²)` of the yaw rate.
 pub fn angular_velocity([_, _, yaw]: &[f64; 3], sharpness: f64) -> f64 {
     (-sharpness * yaw * yaw).exp()
+}
+
+/// Returns how far the horizontal velocity lags behind the command, along it \[m/s\]; negative where it is ahead.
+pub fn lag(state: &RobotState, command: &Command) -> f64 {
+    let (wanted, velocity) = ([command.forward, command.left], state.velocity_in_base);
+    let speed = wanted[0].hypot(wanted[1]);
+    if speed == 0.0 { 0.0 } else { speed - (velocity.x * wanted[0] + velocity.y * wanted[1]) / speed }
 }
 
 /// Computes `r_pose = φ² + ψ² + 10 (y − y_des)²`.
@@ -388,6 +388,16 @@ mod tests {
     }
 
     #[test]
+    fn lag_is_what_is_missing_along_the_command() {
+        let lag_of = |forward, left| lag(&state(), &Command::velocity(forward, left, 0.0));
+        let velocity = state().velocity_in_base;
+        close(lag_of(0.8, 0.0), 0.8 - velocity.x);
+        // along (0.6, −0.8)
+        close(lag_of(0.3, -0.4), 0.5 - (0.6 * velocity.x - 0.8 * velocity.y));
+        assert_eq!(lag_of(0.0, 0.0), 0.0);
+    }
+
+    #[test]
     fn pose_term_adds_pitch_roll_and_ten_times_the_height_error() {
         // 0.2² + 0.1² + 10 · 0.05² = 0.04 + 0.01 + 0.025
         close(pose(&state(), &weights()), 0.075);
@@ -433,7 +443,7 @@ mod tests {
         let against_hops = Reward { flight: -2.0, ..weights() };
         close(all.total(&against_hops), 0.945 * (0.45_f64 * -1.941).exp());
         // − 4 · 0.1
-        let against_lag = Reward { velocity_error: -4.0, ..weights() };
+        let against_lag = Reward { lag: -4.0, ..weights() };
         close(all.total(&against_lag), 0.945 * (0.45_f64 * -1.341).exp());
     }
 
