@@ -214,6 +214,10 @@ pub struct Episode {
     /// Mean `r_lin` of an iteration's walking stages above which episodes continue to the push, from then on.
     #[garde(custom(fraction))]
     pub push_gate: f64,
+    /// Samples before which no episode continues to the push, whatever `r_lin`: a gait gets calm while nothing disturbs it.
+    #[serde(default)]
+    #[garde(skip)]
+    pub push_from_samples: u64,
     /// Largest push along forward and left [m/s].
     #[garde(custom(within(0.0..=100.0, " m/s")))]
     pub push_speed_m_s: f64,

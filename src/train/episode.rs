@@ -141,12 +141,13 @@ impl Curriculum {
         Curriculum { command_fraction: 1.0, pushes: true, force_fraction: 1.0 }
     }
 
-    /// Advances the curriculum with the mean `r_lin` of the walking stages of an iteration.
-    pub fn update(&mut self, mean_linear_reward: f64, config: &Config) {
+    /// Advances the curriculum with the mean `r_lin` of the walking stages of an iteration that began after so many samples.
+    pub fn update(&mut self, mean_linear_reward: f64, samples: u64, config: &Config) {
         if mean_linear_reward > config.command.fraction_gate {
             self.command_fraction = (self.command_fraction + config.command.fraction_step).min(1.0);
         }
-        self.pushes |= mean_linear_reward > config.episode.push_gate;
+        let episode = &config.episode;
+        self.pushes |= samples >= episode.push_from_samples && mean_linear_reward > episode.push_gate;
         let walks = |pulls: &&Pulls| self.pushes && mean_linear_reward > pulls.fraction_gate;
         if let Some(pulls) = config.pulls.as_ref().filter(walks) {
             self.force_fraction = (self.force_fraction + pulls.fraction_step).min(1.0);
@@ -229,26 +230,29 @@ pub(crate) mod tests {
     fn command_range_opens_only_above_its_gate_and_stops_at_one() {
         let config = config();
         let mut curriculum = Curriculum::new(&config.command);
-        curriculum.update(0.69, &config);
+        curriculum.update(0.69, 0, &config);
         assert_eq!(curriculum.command_fraction, 0.5);
         for _ in 0..100 {
-            curriculum.update(0.71, &config);
+            curriculum.update(0.71, 0, &config);
         }
         assert_eq!(curriculum.command_fraction, 1.0);
     }
 
     #[test]
     fn pushes_begin_above_their_gate_and_stay_on_below_it() {
-        let config = config();
+        let mut config = config();
+        config.episode.push_from_samples = 100;
         let mut curriculum = Curriculum::new(&config.command);
         let push =
             |curriculum| EpisodePlan::draw(&config, curriculum, &mut stream(1, Purpose::Episode, 0, 0)).push().copied();
-        curriculum.update(0.84, &config);
+        curriculum.update(0.84, 100, &config);
         assert_eq!(push(curriculum), None);
-        curriculum.update(0.86, &config);
+        curriculum.update(0.86, 99, &config);
+        assert_eq!(push(curriculum), None);
+        curriculum.update(0.86, 100, &config);
         let first = push(curriculum);
         assert!(first.is_some());
-        curriculum.update(0.5, &config);
+        curriculum.update(0.5, 108, &config);
         assert_eq!(push(curriculum), first);
     }
 
@@ -299,9 +303,9 @@ pub(crate) mod tests {
         assert_eq!(plan, EpisodePlan { disturbances: others, ..open[0].clone() });
         // The fraction grows only once there are pushes and the robot walks well.
         let mut curriculum = Curriculum::new(&config.command);
-        curriculum.update(0.79, &config);
+        curriculum.update(0.79, 0, &config);
         assert_eq!(curriculum.force_fraction, 0.0);
-        curriculum.update(0.95, &config);
+        curriculum.update(0.95, 0, &config);
         assert_eq!(curriculum.force_fraction, 0.001);
     }
 }

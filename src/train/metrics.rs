@@ -136,11 +136,11 @@ impl EpisodeMeans {
 }
 
 impl EpisodeMeans {
-    /// Advances the curriculum if these episodes reached its gates.
-    pub fn advance(&self, curriculum: &mut Curriculum, config: &Config) {
+    /// Advances the curriculum, if these episodes, which began after so many samples, reached its gates.
+    pub fn advance(&self, curriculum: &mut Curriculum, samples: u64, config: &Config) {
         // The mean of a few that walk among many that fall is not representative.
         if let Some(mean) = self.walking_linear.filter(|_| 2 * self.walks >= self.episodes) {
-            curriculum.update(mean, config);
+            curriculum.update(mean, samples, config);
         }
     }
 }

@@ -287,7 +287,7 @@ impl Trainer {
         };
 
         let means = EpisodeMeans::new(&episodes);
-        means.advance(&mut self.run.curriculum, &self.run.config);
+        means.advance(&mut self.run.curriculum, self.run.samples, &self.run.config);
         self.run.iteration += 1;
         let (ranks, shards) = (&*self.ranks, self.run.config.ppo.shards / self.ranks.count());
         let samples = rollout.len() * ranks.count();
