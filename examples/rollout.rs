@@ -49,7 +49,11 @@ fn main() -> anyhow::Result<()> {
         let steps = config.ppo.steps();
         let collection = Collection { network: &network, seed, iteration, steps, curriculum, threads: 2 };
         let rollout = collection.collect(&mut environments)?;
-        EpisodeMeans::new(&rollout.episodes).advance(&mut curriculum, &config);
+        EpisodeMeans::new(&rollout.episodes).advance(
+            &mut curriculum,
+            iteration * config.ppo.batch_size as u64,
+            &config,
+        );
         observations.extend(rollout.observations);
         actions.extend(rollout.actions);
         rewards.extend(rollout.rewards);

@@ -80,6 +80,7 @@ struct VecWorld {
     advances: bool,
     /// Steps of each environment in a batch of training.
     batch_steps: usize,
+    /// Steps since the start, or a reset with a seed.
     steps: usize,
     /// Episodes finished since the last batch, by environment.
     episodes: Vec<Vec<EpisodeReport>>,
@@ -489,10 +490,10 @@ impl VecWorld {
     /// Counts a step, and advances the curriculum after every batch as training does.
     fn advance(&mut self) {
         self.steps += 1;
-        if self.steps == self.batch_steps {
+        if self.steps.is_multiple_of(self.batch_steps) {
+            let samples = (self.steps - self.batch_steps) * self.over.len();
             let episodes: Vec<EpisodeReport> = self.episodes.iter_mut().flat_map(std::mem::take).collect();
-            EpisodeMeans::new(&episodes).advance(&mut self.curriculum, &self.config);
-            self.steps = 0;
+            EpisodeMeans::new(&episodes).advance(&mut self.curriculum, samples as u64, &self.config);
         }
     }
 }
