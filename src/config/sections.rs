@@ -315,22 +315,12 @@ pub struct Reward {
     /// Weight `w_h` of the foot height cost; not above zero.
     #[garde(custom(cost))]
     pub foot_height: f64,
-    /// Weight of the velocity's lag behind the command, a cost that is not in the paper: a velocity ahead is paid as one behind
-    /// costs, so that only its mean counts. It is to outweigh what a dear power saves by walking more slowly. Not above zero \[s/m\].
-    #[serde(default)]
-    #[garde(custom(cost))]
-    pub lag: f64,
     /// Weight `w_f` of the time in flight, a cost that is not in the paper; not above zero.
     #[garde(custom(cost))]
     pub flight: f64,
     /// Sharpness of `r_lin` and `r_ang`; 8 in the paper.
     #[garde(custom(within(0.0..=1e6, "")))]
     pub tracking_sharpness: f64,
-    /// Time constant of the mean of velocity minus command that `r_lin` and `r_ang` read; 0, the paper's: its value at the end of the
-    /// step. The velocity within a stride then costs nothing, which a calm gait needs \[s\].
-    #[serde(default)]
-    #[garde(custom(within(0.0..=10.0, " s")))]
-    pub tracking_time_s: f64,
     /// Sharpness of the height in `r_pose`; 10 in the paper [1/m²].
     #[garde(custom(within(0.0..=1e6, " per m²")))]
     pub height_sharpness: f64,

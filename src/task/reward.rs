@@ -1,9 +1,9 @@
 /*! The reward: Table II and equations 1 to 3, every term its own function.
 
-`r = max(0, w_lin r_lin + w_ang r_ang + w_h r_h) · exp(0.45 (w_e r_e + w_τ r_τ + w_pose r_pose + w_cl r_cl + w_v r_v + w_f r_f))`
+`r = max(0, w_lin r_lin + w_ang r_ang + w_h r_h) · exp(0.45 (w_e r_e + w_τ r_τ + w_pose r_pose + w_cl r_cl + w_f r_f))`
 
-The last two terms are not the paper's, and their weights are zero unless a configuration sets them. `r_v` is the lag of
-the velocity behind the command. `r_f` tells a trot from hopping on all fours, which some runs learn.
+The last term, `r_f`, is not the paper's: the paper's reward does not distinguish a trot from hopping on all fours, and
+some runs learn to hop. Its weight is zero unless a configuration sets it.
 
 Interpretations where the paper leaves room: `r_e` is the sum of the joints' absolute powers; `r_e` and `r_τ` are means
 over the physics steps of a policy step; `ω_z` in `r_ang` is the yaw rate; a foot's height is that of its lowest point;
@@ -31,8 +31,6 @@ pub struct RewardInput<'a> {
     pub targets: &'a [Joints; 3],
     /// Command to the policy, base frame.
     pub command: &'a Command,
-    /// Velocity minus command, forward, left [m/s] and yaw [rad/s], base frame, a mean over `tracking_time_s`.
-    pub velocity_error: &'a [f64; 3],
     /// Power and torque over the step.
     pub summary: &'a StepSummary,
     /// Swings that ended in the step.
@@ -70,7 +68,6 @@ enum Term {
     Pose,
     FootClearance,
     FootHeight,
-    Lag,
     Flight,
 }
 
@@ -107,7 +104,7 @@ const fn define(
     TermDefinition { term, name, symbol, part, weight, value }
 }
 
-/// The terms of Table II in order, `r_v` and `r_f`.
+/// The terms of Table II in order, and `r_f`.
 pub const TERMS: &[TermDefinition] = &[
     define(
         Term::LinearVelocity,
@@ -115,7 +112,7 @@ pub const TERMS: &[TermDefinition] = &[
         "r_lin",
         Part::Positive,
         |w| w.linear_velocity,
-        |step| linear_velocity(step.velocity_error, step.config.tracking_sharpness),
+        |step| linear_velocity(step.state, step.command, step.config.tracking_sharpness),
     ),
     define(
         Term::AngularVelocity,
@@ -123,7 +120,7 @@ pub const TERMS: &[TermDefinition] = &[
         "r_ang",
         Part::Positive,
         |w| w.angular_velocity,
-        |step| angular_velocity(step.velocity_error, step.config.tracking_sharpness),
+        |step| angular_velocity(step.state, step.command, step.config.tracking_sharpness),
     ),
     define(Term::Energy, "energy", "r_e [W]", Part::Negative, |w| w.energy, |step| step.summary.power_w),
     define(Term::Torque, "torque", "r_τ [N²·m²]", Part::Negative, |w| w.torque, |step| step.summary.squared_torque),
@@ -137,7 +134,6 @@ pub const TERMS: &[TermDefinition] = &[
         |step| foot_clearance(&step.state.feet, step.config.foot_height_m),
     ),
     define(Term::FootHeight, "foot_height", "r_h", Part::Positive, |w| w.foot_height, |step| step.landings.foot_height),
-    define(Term::Lag, "lag", "r_v [m/s]", Part::Negative, |w| w.lag, |step| lag(step.state, step.command)),
     define(Term::Flight, "flight", "r_f", Part::Negative, |w| w.flight, |step| step.landings.flight_fraction),
 ];
 
@@ -181,7 +177,7 @@ impl Terms {
 
     /// Returns these terms with the tracking terms of `other`, as in the recovery stage.
     pub fn with_tracking_of(mut self, other: &Terms) -> Terms {
-        for term in [Term::LinearVelocity, Term::AngularVelocity, Term::Lag] {
+        for term in [Term::LinearVelocity, Term::AngularVelocity] {
             self.0[term as usize] = other.0[term as usize];
         }
         self
@@ -221,29 +217,17 @@ impl<'de> Deserialize<'de> for Terms {
     }
 }
 
-/// Moves the mean of velocity minus command, forward, left [m/s] and yaw [rad/s], by a step towards that of the state.
-pub fn average_error(mean: &mut [f64; 3], state: &RobotState, command: &Command, period_s: f64, time_s: f64) {
-    let (velocity, yaw) = (state.velocity_in_base, state.angular_velocity_in_base.z);
-    let errors = [velocity.x - command.forward, velocity.y - command.left, yaw - command.yaw];
-    let kept = (-period_s / time_s).exp();
-    mean.iter_mut().zip(errors).for_each(|(mean, error)| *mean = error + kept * (*mean - error));
-}
-
 /// Computes `r_lin = exp(−8 ((v_x − v_x*)² + (v_z − v_z*)²))`.
-pub fn linear_velocity([forward, left, _]: &[f64; 3], sharpness: f64) -> f64 {
+pub fn linear_velocity(state: &RobotState, command: &Command, sharpness: f64) -> f64 {
+    let left = state.velocity_in_base.y - command.left;
+    let forward = state.velocity_in_base.x - command.forward;
     (-sharpness * (left * left + forward * forward)).exp()
 }
 
 /// Computes `r_ang = exp(−8 (ω − ω*)²)` of the yaw rate.
-pub fn angular_velocity([_, _, yaw]: &[f64; 3], sharpness: f64) -> f64 {
-    (-sharpness * yaw * yaw).exp()
-}
-
-/// Returns how far the horizontal velocity lags behind the command, along it \[m/s\]; negative where it is ahead.
-pub fn lag(state: &RobotState, command: &Command) -> f64 {
-    let (wanted, velocity) = ([command.forward, command.left], state.velocity_in_base);
-    let speed = wanted[0].hypot(wanted[1]);
-    if speed == 0.0 { 0.0 } else { speed - (velocity.x * wanted[0] + velocity.y * wanted[1]) / speed }
+pub fn angular_velocity(state: &RobotState, command: &Command, sharpness: f64) -> f64 {
+    let error = state.angular_velocity_in_base.z - command.yaw;
+    (-sharpness * error * error).exp()
 }
 
 /// Computes `r_pose = φ² + ψ² + 10 (y − y_des)²`.
@@ -348,10 +332,10 @@ mod tests {
         }
     }
 
-    /// Creates terms from those of Table II in order, `r_v` and `r_f`; further ones are zero.
-    fn terms(values: [f64; 9]) -> Terms {
+    /// Creates terms from those of Table II in order, and `r_f`; further ones are zero.
+    fn terms(values: [f64; 8]) -> Terms {
         let mut terms = Terms::default();
-        terms.0[..9].copy_from_slice(&values);
+        terms.0[..8].copy_from_slice(&values);
         terms
     }
 
@@ -359,42 +343,18 @@ mod tests {
         assert!((found - expected).abs() < 1e-9, "{found} instead of {expected}");
     }
 
-    /// Returns the mean error of [`state`] against a command, from a mean of zero.
-    fn error(command: &Command, period_s: f64, time_s: f64) -> [f64; 3] {
-        let mut mean = [0.0; 3];
-        average_error(&mut mean, &state(), command, period_s, time_s);
-        mean
-    }
-
     #[test]
     fn linear_velocity_term_is_a_bell_over_the_horizontal_error() {
         let command = Command::velocity(0.5, 0.2, 0.0);
         // exp(−8 ((−0.1 − 0.2)² + (0.7 − 0.5)²)) = exp(−8 · 0.13) = exp(−1.04)
-        close(linear_velocity(&error(&command, 0.02, 0.0), 8.0), 0.353_454_681_95);
+        close(linear_velocity(&state(), &command, 8.0), 0.353_454_681_95);
     }
 
     #[test]
     fn angular_velocity_term_looks_at_the_yaw_rate_alone() {
         let command = Command::velocity(0.0, 0.0, -0.2);
         // exp(−8 · 0.5²) = exp(−2)
-        close(angular_velocity(&error(&command, 0.02, 0.0), 8.0), 0.135_335_283_236_612_7);
-    }
-
-    #[test]
-    fn tracking_is_of_the_mean_error_where_it_has_a_time() {
-        // (0.7 − 0.5) (1 − ½), (−0.1 − 0.2) / 2 and (0.3 + 0.2) / 2 after one time of half-life
-        let found = error(&Command::velocity(0.5, 0.2, -0.2), 0.1 * 2.0_f64.ln(), 0.1);
-        found.iter().zip([0.1, -0.15, 0.25]).for_each(|(&found, expected)| close(found, expected));
-    }
-
-    #[test]
-    fn lag_is_what_is_missing_along_the_command() {
-        let lag_of = |forward, left| lag(&state(), &Command::velocity(forward, left, 0.0));
-        let velocity = state().velocity_in_base;
-        close(lag_of(0.8, 0.0), 0.8 - velocity.x);
-        // along (0.6, −0.8)
-        close(lag_of(0.3, -0.4), 0.5 - (0.6 * velocity.x - 0.8 * velocity.y));
-        assert_eq!(lag_of(0.0, 0.0), 0.0);
+        close(angular_velocity(&state(), &command, 8.0), 0.135_335_283_236_612_7);
     }
 
     #[test]
@@ -435,31 +395,28 @@ mod tests {
     #[test]
     fn total_follows_equations_one_to_three() {
         // In the order of Table II.
-        let all = terms([0.9, 0.8, 40.0, 160.0, 0.05, 0.01, 0.25, 0.1, 0.5]);
+        let all = terms([0.9, 0.8, 40.0, 160.0, 0.05, 0.01, 0.25, 0.5]);
         // r_pos = 0.8·0.9 + 0.5·0.8 − 0.7·0.25 = 0.945
         // r_neg = −0.015·40 − 0.0015·160 − 2·0.05 − 0.1·0.01 = −0.941
         close(all.total(&weights()), 0.945 * (0.45_f64 * -0.941).exp());
         // − 2 · 0.5
         let against_hops = Reward { flight: -2.0, ..weights() };
         close(all.total(&against_hops), 0.945 * (0.45_f64 * -1.941).exp());
-        // − 4 · 0.1
-        let against_lag = Reward { lag: -4.0, ..weights() };
-        close(all.total(&against_lag), 0.945 * (0.45_f64 * -1.341).exp());
     }
 
     #[test]
     fn reward_is_never_negative() {
-        let all = terms([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 4.0, 0.0, 0.0]);
+        let all = terms([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 4.0, 0.0]);
         assert_eq!(all.total(&weights()), 0.0);
     }
 
     #[test]
     fn terms_are_kept_by_name_and_one_that_a_file_lacks_is_zero() {
-        let all = terms([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0]);
+        let all = terms([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0]);
         let json = serde_json::to_string(&all).unwrap();
         assert!(json.starts_with(r#"{"linear_velocity":1.0,"angular_velocity":2.0,"energy":3.0,"#), "{json}");
         assert_eq!(serde_json::from_str::<Terms>(&json).unwrap(), all);
         let old = serde_json::from_str::<Terms>(r#"{"pose": 5.0}"#).unwrap();
-        assert_eq!(old, terms([0.0, 0.0, 0.0, 0.0, 5.0, 0.0, 0.0, 0.0, 0.0]));
+        assert_eq!(old, terms([0.0, 0.0, 0.0, 0.0, 5.0, 0.0, 0.0, 0.0]));
     }
 }

@@ -25,7 +25,7 @@ use crate::mujoco::{Data, Error, Result};
 use crate::observation::Command;
 use crate::robot::{JOINTS, Joints, LEGS, RobotState};
 use crate::sim::{Conditions, Parts, Scene, Sim, SimState, StepForces, StepSummary};
-use crate::task::reward::{self, Landings, RewardInput};
+use crate::task::reward::{Landings, RewardInput};
 use crate::task::{SwingTracker, Terms, compliance};
 use disturbance::{Acting, Effects, StepTime};
 use meter::StepMeter;
@@ -64,8 +64,6 @@ pub struct WorldState {
     targets: [Joints; 3],
     #[serde(default)]
     reference: [f64; 2],
-    #[serde(default)]
-    velocity_error: [f64; 3],
 }
 
 /// A simulated robot with everything that disturbs it.
@@ -86,8 +84,6 @@ pub struct World {
     swings: SwingTracker,
     /// Velocity of the [reference](compliance::follow), if the reward follows one, forward and left, heading frame [m/s].
     reference: [f64; 2],
-    /// Mean of velocity minus command: see [`RewardInput::velocity_error`].
-    velocity_error: [f64; 3],
 }
 
 impl World {
@@ -109,7 +105,6 @@ impl World {
             targets: [[0.0; JOINTS]; 3],
             swings: SwingTracker::default(),
             reference: [0.0; 2],
-            velocity_error: [0.0; 3],
         })
     }
 
@@ -165,7 +160,7 @@ impl World {
         self.state = self.sim.state();
         self.targets = [*target; 3];
         self.swings = SwingTracker::new(&self.state.feet, self.reward.foot_height_m);
-        (self.reference, self.velocity_error) = ([0.0; 2], [0.0; 3]);
+        self.reference = [0.0; 2];
         self.last_push = None;
     }
 
@@ -236,8 +231,6 @@ impl World {
             compliance::follow(&mut self.reference, command, [felt.x, felt.y], self.sim.robot().mass_kg, at.period_s);
             [paid.forward, paid.left] = self.reference;
         }
-        let time_s = self.reward.tracking_time_s;
-        reward::average_error(&mut self.velocity_error, &self.state, &paid, at.period_s, time_s);
         let terms = Terms::new(&self.reward_input(&before, &paid, (&summary, &landings, &forces)));
         Ok(WorldStep { summary, terms, landings, forces, rope, spring, mark, events })
     }
@@ -250,20 +243,8 @@ impl World {
         (summary, landings, forces): (&'a StepSummary, &'a Landings, &'a StepForces),
     ) -> RewardInput<'a> {
         let (state, targets, period_s) = (&self.state, &self.targets, self.sim.policy_period_s());
-        let (time_s, config, velocity_error) = (self.time_s(), &self.reward, &self.velocity_error);
-        RewardInput {
-            state,
-            before,
-            targets,
-            command,
-            velocity_error,
-            summary,
-            landings,
-            forces,
-            period_s,
-            time_s,
-            config,
-        }
+        let (time_s, config) = (self.time_s(), &self.reward);
+        RewardInput { state, before, targets, command, summary, landings, forces, period_s, time_s, config }
     }
 
     /// Collects the effects of the disturbances in the step.
@@ -358,9 +339,8 @@ impl World {
 
     /// Returns the state from which the world continues with the same bits.
     pub fn save(&self) -> WorldState {
-        let World { steps, swings, targets, reference, velocity_error, .. } = *self;
-        let (sim, disturbances) = (self.sim.save(), self.disturbances.clone());
-        WorldState { sim, steps, disturbances, swings, targets, reference, velocity_error }
+        let World { steps, swings, targets, reference, .. } = *self;
+        WorldState { sim: self.sim.save(), steps, disturbances: self.disturbances.clone(), swings, targets, reference }
     }
 
     /// Continues from the saved state of an undisturbed world, with the disturbances of this one to come.
@@ -389,7 +369,7 @@ impl World {
         self.sim.restore(&state.sim)?;
         self.disturbances.clone_from(&state.disturbances);
         (self.steps, self.swings, self.targets) = (state.steps, state.swings, state.targets);
-        (self.reference, self.velocity_error) = (state.reference, state.velocity_error);
+        self.reference = state.reference;
         (self.state, self.last_push) = (self.sim.state(), None);
         Ok(())
     }
