@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 use super::inference::{Inference, InferenceBuffers, Network};
 use super::pytorch;
 use crate::config::{Config, Simulation, ValueError};
-use crate::network::{ActorCritic, Mlp, NetworkError, PackedMlp};
+use crate::network::{ActorCritic, Layer, Mlp, NetworkError, PackedMlp};
 use crate::observation::{Layout, LayoutError};
 use crate::robot::{JOINTS, Joints, Robot, joint_names};
 use crate::util::files::{self, FileError};
@@ -64,9 +64,18 @@ pub struct Provenance {
     pub git_revision: String,
     /// MuJoCo version that simulated the training.
     pub mujoco_version: String,
+    /// Samples of the policies whose weights were averaged into this one; empty for a policy as it was trained.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub mean_of: Vec<u64>,
 }
 
 impl Provenance {
+    /// Describes what was averaged, if anything: `, mean of the weights at 100, 200`.
+    pub fn mean(&self) -> String {
+        let samples: Vec<String> = self.mean_of.iter().map(u64::to_string).collect();
+        if samples.is_empty() { String::new() } else { format!(", mean of the weights at {}", samples.join(", ")) }
+    }
+
     /// Describes how far the training had come, unless it was complete.
     pub fn unfinished(&self) -> Option<String> {
         let (found, planned) = (self.samples, self.config.run.samples);
@@ -176,13 +185,52 @@ impl Policy {
         provenance.config = provenance.config.without_folder();
         let config = &provenance.config;
         let usage = Usage::new(&layout, robot);
-        let nominal_pose = config.action.nominal_pose_rad.joints();
-        let (mlp, period_s) = (Network::Mlp(PackedMlp::new(&network.policy)), config.simulation.policy_period_s());
-        let inference = Inference::new(layout, nominal_pose, config.action.scale_rad, mlp, period_s);
-        let mut policy = Policy { actor: network.policy.clone(), usage, inference, provenance, sha256: String::new() };
+        let (pose, scale_rad) = (config.action.nominal_pose_rad.joints(), config.action.scale_rad);
+        Self::assemble(network.policy.clone(), layout, pose, scale_rad, provenance, usage)
+    }
+
+    /// Creates a policy that is in no file yet.
+    fn assemble(
+        actor: Mlp,
+        layout: Layout,
+        nominal_pose: Joints,
+        scale_rad: f64,
+        provenance: Provenance,
+        usage: Usage,
+    ) -> Self {
+        let (mlp, period_s) = (Network::Mlp(PackedMlp::new(&actor)), provenance.config.simulation.policy_period_s());
+        let inference = Inference::new(layout, nominal_pose, scale_rad, mlp, period_s);
+        let mut policy = Policy { actor, usage, inference, provenance, sha256: String::new() };
         // What was built from whole tensors can be serialised.
         policy.sha256 = files::sha256(&[&policy.to_bytes().unwrap_or_default()]);
         policy
+    }
+
+    /// Averages the weights of policies that one run kept, the last of them last; `None` if they do not come from one run.
+    ///
+    /// Along a run, policies differ by chance; their mean walks more calmly than each and withstands more (training log 38).
+    pub fn mean(policies: &[Policy]) -> Option<Policy> {
+        let last = policies.last()?;
+        let run = |policy: &Policy| {
+            let Provenance { seed, config, .. } = policy.provenance.clone();
+            let widths: Vec<usize> = policy.actor.layers.iter().map(Layer::outputs).collect();
+            (seed, config, policy.layout().clone(), widths)
+        };
+        if policies.iter().any(|policy| run(policy) != run(last)) {
+            return None;
+        }
+        let mut actor = last.actor.clone();
+        for (k, layer) in actor.layers.iter_mut().enumerate() {
+            let mean = |i: usize, values: fn(&Layer) -> &[f32]| {
+                let sum: f64 = policies.iter().map(|policy| f64::from(values(&policy.actor.layers[k])[i])).sum();
+                (sum / policies.len() as f64) as f32
+            };
+            layer.weight.iter_mut().enumerate().for_each(|(i, weight)| *weight = mean(i, |layer| &layer.weight));
+            layer.bias.iter_mut().enumerate().for_each(|(i, bias)| *bias = mean(i, |layer| &layer.bias));
+        }
+        let mean_of = policies.iter().map(|policy| policy.provenance.samples).collect();
+        let (layout, provenance) = (last.layout().clone(), Provenance { mean_of, ..last.provenance.clone() });
+        Some(Self::assemble(actor, layout, *last.nominal_pose(), last.scale_rad(), provenance, last.usage.clone()))
     }
 
     methods! {
@@ -383,7 +431,8 @@ pub(crate) mod tests {
     pub(crate) fn untrained(network: &ActorCritic, config: Config) -> Policy {
         let layout = config.layout().unwrap();
         let (git_revision, mujoco_version, config_name) = ("test".into(), "2.2.2".into(), "compliant".into());
-        let provenance = Provenance { config_name, config, seed: 5, samples: 0, git_revision, mujoco_version };
+        let provenance =
+            Provenance { config_name, config, seed: 5, samples: 0, git_revision, mujoco_version, mean_of: vec![] };
         Policy::new(network, &Robot::load("go1").unwrap(), layout, provenance)
     }
 
@@ -402,6 +451,25 @@ pub(crate) mod tests {
         assert_eq!(read.actor, policy.actor);
         assert_eq!(read.provenance, policy.provenance);
         assert_eq!(read.to_bytes().unwrap(), bytes);
+    }
+
+    #[test]
+    fn the_mean_of_a_runs_policies_has_the_mean_of_their_weights() {
+        let (mut first, mut last) = (policy(), policy());
+        (first.provenance.samples, last.provenance.samples) = (100, 200);
+        first.actor.layers[0].weight[3] = 1.0;
+        last.actor.layers[0].weight[3] = 2.0;
+        first.actor.layers[2].bias[11] = -1.0;
+        let mean = Policy::mean(&[first, last]).unwrap();
+        assert_eq!((mean.actor.layers[0].weight[3], mean.actor.layers[2].bias[11]), (1.5, -0.5));
+        assert_eq!(mean.actor.layers[1], policy().actor.layers[1]);
+        assert_eq!((mean.provenance.samples, mean.provenance.mean_of.as_slice()), (200, &[100, 200][..]));
+        // Its golden joint targets are its own: reading computes them again.
+        let read = Policy::from_bytes(&mean.to_bytes().unwrap(), Path::new("mean")).unwrap();
+        assert_eq!(read.provenance, mean.provenance);
+        let mut stranger = policy();
+        stranger.provenance.seed += 1;
+        assert!(Policy::mean(&[read, stranger]).is_none() && Policy::mean(&[]).is_none());
     }
 
     #[test]

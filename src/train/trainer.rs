@@ -363,7 +363,15 @@ impl Trainer {
         let (config_name, config, samples) = (self.run.config_name.clone(), self.run.config.clone(), self.run.samples);
         let git_revision = provenance::git_revision().to_owned();
         let mujoco_version = provenance::mujoco_version().to_owned();
-        let provenance = Provenance { config_name, config, seed: self.run.seed, samples, git_revision, mujoco_version };
+        let provenance = Provenance {
+            config_name,
+            config,
+            seed: self.run.seed,
+            samples,
+            git_revision,
+            mujoco_version,
+            mean_of: vec![],
+        };
         let Shared { robot, layout, .. } = &self.shared;
         Policy::new(&self.learner.parameters(), robot, Layout::clone(layout), provenance)
     }

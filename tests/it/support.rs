@@ -58,7 +58,8 @@ pub fn zero_policy(config: Config) -> Policy {
     let robot = Robot::load(&config.robot.model).unwrap();
     let (git_revision, mujoco_version, config_name) = ("test".into(), "2.2.2".into(), "compliant".into());
     let samples = config.run.samples;
-    let provenance = Provenance { config_name, seed: 0, samples, config, git_revision, mujoco_version };
+    let provenance =
+        Provenance { config_name, seed: 0, samples, config, git_revision, mujoco_version, mean_of: vec![] };
     Policy::new(&network.zeros_like(), &robot, layout, provenance)
 }
 

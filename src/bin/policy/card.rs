@@ -51,7 +51,7 @@ pub fn card(policy: &str, name: Option<&str>) -> anyhow::Result<String> {
          | | |\n|---|---|\n\
          | configuration | `{}` ({} epochs, recovery stage {}) |\n\
          | seed | {} |\n\
-         | samples | {} |\n\
+         | samples | {}{} |\n\
          {hours}\
          | trained by | Supple {}, MuJoCo {} |\n\
          | SHA-256 | `{}` |\n\n\
@@ -63,6 +63,7 @@ pub fn card(policy: &str, name: Option<&str>) -> anyhow::Result<String> {
         if config.episode.recovery_stage { "on" } else { "off" },
         provenance.seed,
         provenance.samples,
+        provenance.mean(),
         provenance.git_revision,
         provenance.mujoco_version,
         policy.sha256(),

@@ -13,7 +13,7 @@ use nalgebra::Vector3;
 use supple::config::Config;
 use supple::observation::Command;
 use supple::policy::compliance::{CompliantObservations, PolicyCalibration};
-use supple::policy::{Agent, Controller as _, InferenceBuffers, Provenance};
+use supple::policy::{Agent, Controller as _, InferenceBuffers, Policy, Provenance};
 use supple::policy::{external, onnx, shipped};
 use supple::robot::{GRAVITY_M_S2, JOINTS, Joints, Robot, RobotState, joint_name};
 use supple::scenario::calibration::calibrate;
@@ -106,6 +106,15 @@ enum PolicyCommand {
         #[arg(long)]
         out: PathBuf,
     },
+    /// Average the weights of policies that a run kept: steadier than each of them
+    Mean {
+        /// Policy files of one run, the last of them last
+        #[arg(required = true)]
+        policies: Vec<PathBuf>,
+        /// Policy file to write
+        #[arg(long, value_name = "FILE")]
+        out: PathBuf,
+    },
     /// Write the policy in another format
     Export {
         /// Policy file, run folder, or name of a shipped policy
@@ -195,6 +204,14 @@ fn run(command: PolicyCommand) -> anyhow::Result<()> {
         PolicyCommand::List => list()?,
         PolicyCommand::Describe { source, onnx, robot, out } => {
             describe::describe(&source, onnx, robot.as_deref(), &out)?
+        }
+        PolicyCommand::Mean { policies, out } => {
+            let policies = policies.iter().map(|path| Policy::load(path)).collect::<Result<Vec<_>, _>>()?;
+            let mean = Policy::mean(&policies).context(
+                "the policies do not come from one run: their seeds, configurations or observations differ; give those that \
+                 it kept, as in runs/mine/policy-*.safetensors",
+            )?;
+            mean.save(&out)?;
         }
         PolicyCommand::Card { policy, name } => terminal::print(card::card(&policy, name.as_deref())?)?,
         PolicyCommand::Export { policy, format: ExportFormat::Onnx, out } => {

@@ -14,13 +14,14 @@ pub fn description(policy: &Policy) -> String {
         .map(|width| width.to_string())
         .collect();
     let mut text = format!(
-        "trained   {} samples, config {}, seed {}, git {}, MuJoCo {}\n\
+        "trained   {} samples{}, config {}, seed {}, git {}, MuJoCo {}\n\
          sha256    {}\n\
          network   {}, ELU\n\
          rates     {}\n\
          action    joint target [rad] = nominal pose + {} * output\n\
          \nobservation ({} numbers)\n",
         provenance.samples,
+        provenance.mean(),
         provenance.config_name,
         provenance.seed,
         provenance.git_revision,
