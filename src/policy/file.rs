@@ -211,12 +211,14 @@ impl Policy {
     /// Along a run, policies differ by chance; their mean walks more calmly than each and withstands more (training log 38).
     pub fn mean(policies: &[Policy]) -> Option<Policy> {
         let last = policies.last()?;
-        let run = |policy: &Policy| {
-            let Provenance { seed, config, .. } = policy.provenance.clone();
-            let widths: Vec<usize> = policy.actor.layers.iter().map(Layer::outputs).collect();
-            (seed, config, policy.layout().clone(), widths)
+        let alike = |policy: &Policy| {
+            let widths = |policy: &Policy| policy.actor.layers.iter().map(Layer::outputs).collect::<Vec<_>>();
+            policy.provenance.seed == last.provenance.seed
+                && policy.provenance.config.check_same(&last.provenance.config).is_ok()
+                && policy.layout() == last.layout()
+                && widths(policy) == widths(last)
         };
-        if policies.iter().any(|policy| run(policy) != run(last)) {
+        if !policies.iter().all(alike) {
             return None;
         }
         let mut actor = last.actor.clone();

@@ -60,6 +60,14 @@ fn policies_along_the_way_are_those_of_shorter_runs() {
         assert!(kept(passed).actor == newest.actor, "the policies after {samples} samples differ");
     }
     assert!(!folder.path().join("768/policy-1400.safetensors").exists());
+    let mean = ["mean", "long/policy-700.safetensors", "long/policy-1400.safetensors", "--out", "mean.safetensors"];
+    success(run("policy", folder.path(), &mean));
+    let mean = Policy::load(&folder.path().join("mean.safetensors")).unwrap();
+    let weight = |policy: &Policy| f64::from(policy.actor.layers[0].weight[5]);
+    assert!((weight(&mean) - (weight(&kept(700)) + weight(&kept(1400))) / 2.0).abs() < 1e-7);
+    let stranger = ["mean", "long/policy-700.safetensors", "other/policy-700.safetensors", "--out", "mean.safetensors"];
+    train(folder.path(), &[&start[..], &["768", "--seed", "9", "--out", "other"]].concat());
+    assert!(complaint(&run("policy", folder.path(), &stranger)).contains("do not come from one run"));
 }
 
 #[test]
