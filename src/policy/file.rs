@@ -206,11 +206,12 @@ impl Policy {
         policy
     }
 
-    /// Averages the weights of policies that one run kept, the last of them last; `None` if they do not come from one run.
+    /// Averages the weights of policies that one run kept, in any order; `None` if they do not come from one run.
     ///
-    /// Along a run, policies differ by chance; their mean walks more calmly than each and withstands more (training log 38).
+    /// Policies late in a run differ by chance. The two means that were tried were calmer and stronger than their run's end (training
+    /// log 38).
     pub fn mean(policies: &[Policy]) -> Option<Policy> {
-        let last = policies.last()?;
+        let last = policies.iter().max_by_key(|policy| policy.provenance.samples)?;
         let alike = |policy: &Policy| {
             let widths = |policy: &Policy| policy.actor.layers.iter().map(Layer::outputs).collect::<Vec<_>>();
             policy.provenance.seed == last.provenance.seed
@@ -462,10 +463,10 @@ pub(crate) mod tests {
         first.actor.layers[0].weight[3] = 1.0;
         last.actor.layers[0].weight[3] = 2.0;
         first.actor.layers[2].bias[11] = -1.0;
-        let mean = Policy::mean(&[first, last]).unwrap();
+        let mean = Policy::mean(&[last, first]).unwrap();
         assert_eq!((mean.actor.layers[0].weight[3], mean.actor.layers[2].bias[11]), (1.5, -0.5));
         assert_eq!(mean.actor.layers[1], policy().actor.layers[1]);
-        assert_eq!((mean.provenance.samples, mean.provenance.mean_of.as_slice()), (200, &[100, 200][..]));
+        assert_eq!((mean.provenance.samples, mean.provenance.mean_of.as_slice()), (200, &[200, 100][..]));
         // Its golden joint targets are its own: reading computes them again.
         let read = Policy::from_bytes(&mean.to_bytes().unwrap(), Path::new("mean")).unwrap();
         assert_eq!(read.provenance, mean.provenance);

@@ -106,9 +106,9 @@ enum PolicyCommand {
         #[arg(long)]
         out: PathBuf,
     },
-    /// Average the weights of policies that a run kept: steadier than each of them
+    /// Average the weights of the last policies that a run kept, which differ by chance
     Mean {
-        /// Policy files of one run, the last of them last
+        /// Policy files of one run
         #[arg(required = true)]
         policies: Vec<PathBuf>,
         /// Policy file to write
