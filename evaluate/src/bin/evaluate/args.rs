@@ -34,7 +34,7 @@ pub struct Args {
     /// Names of the two sets; the paper's claims are about the first [default: compliant,baseline, or the file names of --a and --b]
     #[arg(long, value_name = "A,B", value_delimiter = ',', num_args = 1)]
     pub names: Vec<String>,
-    /// Examine one policy beside the shipped references instead: eight disciplines, some minutes, one page (exam.html, exam.png)
+    /// Examine one policy beside the shipped references instead: eight disciplines, up to twenty minutes, one page (exam.html, exam.png)
     #[arg(long, value_name = "PATH", conflicts_with_all = [
         "experiments", "policies", "a", "b", "names", "also", "quick", "joints", "sensing", "results",
     ])]
