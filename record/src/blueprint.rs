@@ -5,16 +5,16 @@ below the view in the layout's own store; so the layout is logged entity by enti
 identifiers are counted, not random: the same robots give the same layout.
 */
 
-use rerun::blueprint::components::{
-    BackgroundKind, ContainerKind, Corner2D, LinkAxis, LoopMode, PanelState, PlayState, RootContainer, TextLogColumn,
-    TimelineColumn,
-};
-use rerun::blueprint::datatypes;
-use rerun::external::re_log_types::{BlueprintActivationCommand, LogMsg};
-use rerun::external::re_sdk_types::blueprint::archetypes::{
+use re_sdk_types::blueprint::archetypes::{
     Background, ContainerBlueprint, EyeControls3D, LineGrid3D, PanelBlueprint, PlotLegend, ScalarAxis, TextLogColumns,
     TimeAxis, TimePanelBlueprint, ViewBlueprint, ViewContents, ViewportBlueprint,
 };
+use re_sdk_types::blueprint::components::{
+    BackgroundKind, ContainerKind, Corner2D, LinkAxis, LoopMode, PanelState, PlayState, RootContainer, TextLogColumn,
+    TimelineColumn,
+};
+use re_sdk_types::blueprint::datatypes;
+use rerun::external::re_log_types::{BlueprintActivationCommand, LogMsg};
 use rerun::{AsComponents, EntityPath, RecordingStream, RecordingStreamBuilder};
 
 use super::Result;
@@ -196,7 +196,7 @@ impl Layout<'_> {
             ContainerKind::Tabs | ContainerKind::Grid => container,
         };
         self.store.log(path.as_str(), &container)?;
-        Ok((path, RootContainer(rerun::datatypes::Uuid { bytes: identifier })))
+        Ok((path, RootContainer(re_sdk_types::datatypes::Uuid { bytes: identifier })))
     }
 
     /// Returns the next identifier: a UUID in the form of version 4, counted in its last byte.

@@ -5,8 +5,10 @@ frame, logged once. MuJoCo's conventions and rerun's differ in places: half-leng
 their middle against capsules from their first end, quaternions with w first against w last.
 */
 
-use rerun::components::HalfSize3D;
-use rerun::{Boxes3D, Capsules3D, Color, Cylinders3D, Ellipsoids3D, EntityPath, FillMode, Points3D, Quaternion};
+use re_sdk_types::archetypes::{Boxes3D, Capsules3D, Cylinders3D, Ellipsoids3D, Points3D};
+use re_sdk_types::components::{Color, FillMode, HalfSize3D};
+use re_sdk_types::datatypes::Quaternion;
+use rerun::EntityPath;
 
 use super::Result;
 use super::stream::Stream;

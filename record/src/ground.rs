@@ -6,7 +6,8 @@ triangles, split along the same diagonal as MuJoCo's, with heights as shades; sq
 where they are slippery and brown where they are not.
 */
 
-use rerun::{EntityPath, Mesh3D};
+use re_sdk_types::archetypes::Mesh3D;
+use rerun::EntityPath;
 
 use super::Result;
 use super::geometry::{child, scene_path};

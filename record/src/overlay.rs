@@ -6,9 +6,10 @@ feet are in the air; both are short enough to be logged completely each time.
 
 use std::collections::{BTreeSet, VecDeque};
 
-use rerun::{
-    Arrows3D, AsComponents, Color, Ellipsoids3D, EntityPath, FillMode, LineStrips3D, Points3D, Quaternion, Radius,
-};
+use re_sdk_types::archetypes::{Arrows3D, Ellipsoids3D, LineStrips3D, Points3D};
+use re_sdk_types::components::{Color, FillMode, Radius};
+use re_sdk_types::datatypes::Quaternion;
+use rerun::{AsComponents, EntityPath};
 
 use super::Result;
 use super::geometry::child;

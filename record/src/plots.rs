@@ -3,7 +3,8 @@
 A plot shows every robot's quantity in the robot's colour and, where there is one, the first robot's command.
 */
 
-use rerun::{EntityPath, Scalars, SeriesLines};
+use re_sdk_types::archetypes::{Scalars, SeriesLines};
+use rerun::EntityPath;
 
 use super::Result;
 use super::geometry::child;

@@ -4,7 +4,10 @@ Poses are logged when they changed, and balls that rest keep their exact positio
 The camera follows an invisible entity that glides after the trunk instead of shaking with it.
 */
 
-use rerun::{Color, EntityPath, LineStrips3D, Points3D, Quaternion, Radius, TextLog, TextLogLevel};
+use re_sdk_types::archetypes::{LineStrips3D, Points3D, TextLog, ViewCoordinates};
+use re_sdk_types::components::{Color, Radius, TextLogLevel};
+use re_sdk_types::datatypes::Quaternion;
+use rerun::EntityPath;
 
 use super::geometry::{Parts, balls_path, child, log_model};
 use super::ground::{Patch, log_grounds};
@@ -47,7 +50,7 @@ impl Robot {
         let root = robot_path(view.name);
         let colour = view.tint.unwrap_or(BLUE);
         let model = view.model;
-        stream.log_static(&root, &rerun::ViewCoordinates::RIGHT_HAND_Z_UP())?;
+        stream.log_static(&root, &ViewCoordinates::RIGHT_HAND_Z_UP())?;
         let parts = log_model(stream, &root, model, view.tint)?;
         let patches = log_grounds(stream, &root, model, view.ground)?;
         log_camera_size(stream, view.name)?;

@@ -17,14 +17,14 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, SystemTime};
 
-use rerun::archetypes::{Clear, InstancePoses3D};
+use re_sdk_types::archetypes::{Clear, InstancePoses3D, Transform3D};
+use re_sdk_types::datatypes::Quaternion;
 use rerun::external::re_log_encoding::rrd::{Decodable as _, StreamFooter};
 use rerun::log::ChunkBatcherConfig;
 use rerun::sink::{BinaryStreamSink, BinaryStreamStorage};
 use rerun::web_viewer::WebViewerConfig;
 use rerun::{
-    AsComponents, EntityPath, MemoryLimit, Quaternion, RecordingStream, RecordingStreamBuilder, RecordingStreamError,
-    ServerOptions, Transform3D,
+    AsComponents, EntityPath, MemoryLimit, RecordingStream, RecordingStreamBuilder, RecordingStreamError, ServerOptions,
 };
 use supple::util::files::{FileError, Target};
 

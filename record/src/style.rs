@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use rerun::Color;
+use re_sdk_types::components::Color;
 
 /// A colour: red, green, blue.
 pub type Rgb = [u8; 3];

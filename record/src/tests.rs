@@ -7,8 +7,9 @@ use std::path::Path;
 use std::sync::LazyLock;
 use std::time::{Duration, Instant};
 
-use rerun::external::re_sdk_types::blueprint::archetypes::{EyeControls3D, ViewContents};
-use rerun::{ChunkStore, ChunkStoreConfig, StoreKind};
+use re_chunk_store::{ChunkStore, ChunkStoreConfig};
+use re_sdk_types::blueprint::archetypes::{EyeControls3D, ViewContents};
+use rerun::StoreKind;
 
 use super::*;
 use supple::mujoco::Data;
