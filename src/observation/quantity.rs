@@ -74,6 +74,8 @@ quantities! {
     LastTarget: Joints, "target", "rad", Policy;
     /// Commanded compliance; zero without one.
     CommandedCompliance: Scalar, "commanded compliance", "m/s/N", Policy;
+    /// Commanded compliance times felt force: the velocity by which the robot is to give way, forward and left.
+    CommandedYield: Polar, "commanded yield", "m/s", Policy;
     /// Commanded velocity: forward, left, yaw rate.
     Command: Command, "commanded", "m/s, m/s, rad/s", Policy;
     /// Clock sin 2π(f·t + phase), for each of `phases`.
@@ -183,6 +185,11 @@ impl Quantity {
         self.about().seen_by == SeenBy::Critic
     }
 
+    /// Returns true if the quantity follows from the force that a robot feels.
+    pub fn is_felt(self) -> bool {
+        matches!(self, Quantity::FeltForce | Quantity::CommandedYield)
+    }
+
     /// Measures this quantity into `out`, a slice of its width. `axes` selects the elements and signs of a vector;
     /// `values` are the phases of a clock or the values of a constant; `order` is the policy's order of joints.
     pub(super) fn measure(
@@ -203,9 +210,10 @@ impl Quantity {
             Quantity::ProjectedGravity => vector(state.gravity_in_base.normalize().into()),
             Quantity::BaseVelocity => vector(state.velocity_in_base.into()),
             Quantity::AngularVelocity => vector(state.angular_velocity_in_base.into()),
-            Quantity::FeltForce => {
+            Quantity::FeltForce | Quantity::CommandedYield => {
                 let [forward, left] = state.felt_force.unwrap_or_default();
-                vector([forward, left, 0.0].map(|force| force.clamp(-MOST_FELT_N, MOST_FELT_N)));
+                let gain = if self == Quantity::FeltForce { 1.0 } else { now.command.compliance.unwrap_or_default() };
+                vector([forward, left, 0.0].map(|force| gain * force.clamp(-MOST_FELT_N, MOST_FELT_N)));
             }
             Quantity::CommandedCompliance => out[0] = now.command.compliance.unwrap_or_default(),
             Quantity::Command => vector([now.command.forward, now.command.left, now.command.yaw]),
@@ -221,8 +229,7 @@ impl Quantity {
             Quantity::ClockSin | Quantity::ClockCos => {
                 let wave = if self == Quantity::ClockSin { f64::sin } else { f64::cos };
                 let turns = frequency_hz * now.time_s;
-                let phases = out.iter_mut().zip(values);
-                phases.for_each(|(out, phase)| *out = wave(TAU * (turns + phase).fract()));
+                out.iter_mut().zip(values).for_each(|(out, phase)| *out = wave(TAU * (turns + phase).fract()));
             }
             Quantity::Constant => out.copy_from_slice(values),
             Quantity::FootForces => {
@@ -264,7 +271,7 @@ mod tests {
                 Kind::Constant => "as many as `values`",
             };
             let frame = match kind {
-                _ if *quantity == Quantity::FeltForce => "heading",
+                _ if quantity.is_felt() => "heading",
                 Kind::Polar | Kind::Axial | Kind::Command | Kind::FootVectors => "base",
                 _ => "",
             };

@@ -7,7 +7,7 @@ use super::controller::Controller;
 use super::onnx;
 use crate::config::Config;
 use crate::network::{PackedMlp, Scratch};
-use crate::observation::{Command, Layout, LayoutError, ObservationInput, Observer, Privileged, Quantity};
+use crate::observation::{Command, Layout, LayoutError, ObservationInput, Observer, Privileged};
 use crate::robot::{JOINTS, Joints, RobotState, joint_target};
 
 /// The meaning of a network's output.
@@ -213,7 +213,7 @@ impl<I: Borrow<Inference> + Send> Controller for PolicyController<I> {
     }
 
     fn needs_felt_force(&self) -> bool {
-        self.inference.borrow().layout.blocks().iter().any(|block| block.quantity == Quantity::FeltForce)
+        self.inference.borrow().layout.blocks().iter().any(|block| block.quantity.is_felt())
     }
 }
 

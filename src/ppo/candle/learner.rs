@@ -6,7 +6,7 @@ use candle_nn::Optimizer;
 
 use super::networks::{numbers, tensors};
 use super::{CandleAdam, CandleNetworks, Loss};
-use crate::config::Ppo;
+use crate::config::{LOG_STD_RANGE, Ppo};
 use crate::network::ActorCritic;
 use crate::ppo::loss::Minibatch;
 use crate::ppo::update::{UpdateProgress, check};
@@ -58,7 +58,7 @@ impl CandleLearner {
             scale(&mut gradients, &networks.variables, step.gradient_scale)?;
             adam.set_learning_rate(step.learning_rate);
             adam.step(&gradients)?;
-            networks.clamp_log_std()?;
+            networks.log_std.set(&networks.log_std.detach().clamp(LOG_STD_RANGE[0], LOG_STD_RANGE[1])?)?;
         }
 
         let parameters = &state.parameters;

@@ -3,14 +3,13 @@
 use candle_core::{DType, Device, Error, Result, Tensor, Var};
 use candle_nn::Linear;
 
-use crate::config::LOG_STD_RANGE;
 use crate::network::{ActorCritic, Mlp, forward};
 
 /// A differentiable copy of an [`ActorCritic`].
 pub struct CandleNetworks {
     policy: Vec<Linear>,
     value: Vec<Linear>,
-    log_std: Var,
+    pub(super) log_std: Var,
     /// All trained variables, in the order of [`ActorCritic::tensors`].
     pub variables: Vec<Var>,
 }
@@ -37,12 +36,6 @@ impl CandleNetworks {
         let means = forward(&self.policy, &observations.to_dtype(dtype)?)?.to_dtype(DType::F64)?;
         let values = forward(&self.value, &of_critic.to_dtype(dtype)?)?.squeeze(1)?.to_dtype(DType::F64)?;
         Ok((means, self.log_std.to_dtype(DType::F64)?, values))
-    }
-
-    /// Clamps `ln σ` to [`LOG_STD_RANGE`].
-    pub fn clamp_log_std(&self) -> Result<()> {
-        let [low, high] = LOG_STD_RANGE;
-        self.log_std.set(&self.log_std.detach().clamp(low, high)?)
     }
 }
 

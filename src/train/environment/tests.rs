@@ -297,9 +297,9 @@ fn pulls() -> Pulls {
 
 #[test]
 fn pulls_and_pushes_are_felt_in_the_step_in_which_they_act() {
-    let observation = vec![Observed::now(Quantity::FeltForce)];
+    let observation = [Quantity::FeltForce, Quantity::CommandedYield].map(Observed::now).to_vec();
     let mut config = Config { pulls: Some(pulls()), observation, ..Config::load("fast").unwrap() };
-    config.episode.slope = 0.0;
+    (config.episode.slope, config.reward.reference_m_s_per_n) = (0.0, Some([0.02; 2]));
     let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
     env.without_stagger();
     let push = Push { at_s: config.episode.walking_s, linear: [0.01, 0.2], ..Push::default() };
@@ -307,7 +307,8 @@ fn pulls_and_pushes_are_felt_in_the_step_in_which_they_act() {
     replan(&mut env, [Disturbance::Push(push), Disturbance::Pull(pull)]);
     let felt = |env: &mut LocomotionEnv| {
         env.step(&[0.0; 12]);
-        let [forward, left, _] = *env.observation().first_chunk().unwrap();
+        let [forward, left, _, yield_forward, yield_left, _] = *env.observation().first_chunk().unwrap();
+        assert!((yield_forward - 0.02 * forward).abs() < 1e-6 && (yield_left - 0.02 * left).abs() < 1e-6);
         [forward, left]
     };
     assert_eq!(felt(&mut env), [0.0; 2]);
