@@ -27,17 +27,17 @@ const send = connect({
     if (about.viewer && !$("robots").firstChild) openViewer();
   },
   state(now) {
-    const first = !state;
+    const isNew = String(state?.robots.map(({ policy }) => policy)) !== String(now.robots.map(({ policy }) => policy));
     state = now;
     window.state = now;
     // Draw at most once per animation frame; a hidden page draws nothing.
     waiting ??= requestAnimationFrame(draw);
-    if (first) chooseRobots();
+    if (isNew && !document.activeElement?.closest(".who")) chooseRobots();
   },
   refused: (problem) => notice(problem),
   lost() {
     state = null;
-    status("connection lost: check that the program is still running", true);
+    status("connection lost: is the program still running? It may have been started again, with another address, or have too many pages open", true);
   },
 });
 
@@ -159,7 +159,7 @@ for (const form of document.querySelectorAll(".who")) {
     event.preventDefault();
     const { policy, robot } = form.elements;
     send({ robot: { index, policy: policy.value.trim() || null, robot: robot.value.trim() || null } });
-    event.submitter?.blur();
+    document.activeElement?.blur();
   };
 }
 

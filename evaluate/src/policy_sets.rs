@@ -165,7 +165,7 @@ impl PolicySets {
             }
         }
         for PolicySet { name, members } in &sets {
-            if let Some(compliance) = members.iter().find_map(|member| member.agent.commanded_compliance) {
+            if let Some(compliance) = members.iter().find_map(|it| it.agent.resolve_compliance(None, None).ok()?) {
                 let words = "m/s/N in trials that command none";
                 notes.push(format!("{name} has a commanded compliance of {compliance} {words}"));
             }

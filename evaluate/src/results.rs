@@ -135,7 +135,8 @@ impl Results {
                 let reason = samples[trial].fault.as_deref().unwrap_or("its reason was not kept");
                 return Some(format!(
                     "{faults} of {trials} trials of {name} ended in a fault; they count as no success and have no other \
-                     numbers. The first, policy of seed {seed}, {label}trial {trial}: {reason}"
+                     numbers. The first, policy of seed {seed}, {label}trial {}: {reason}",
+                    trial + 1
                 ));
             }
         }

@@ -13,6 +13,7 @@ use rand::RngExt;
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
 
+pub use supple::util::numbers::mean;
 use supple::util::random::{Purpose, stream};
 
 /// The number of resamples of a bootstrap.
@@ -188,12 +189,6 @@ fn interval(pairs: usize, tail: f64, statistic: impl Fn(&[usize]) -> Option<f64>
     found.sort_by(f64::total_cmp);
     let rank = (tail * (RESAMPLES - 1) as f64).round() as usize;
     Some([found[rank], found[RESAMPLES - 1 - rank]])
-}
-
-/// Returns the mean; none if there are no values.
-pub fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
-    let (sum, count) = values.fold((0.0, 0_u32), |(sum, count), value| (sum + value, count + 1));
-    (count > 0).then(|| sum / f64::from(count))
 }
 
 /// The expected relation of the first set's number to the second's: that of the paper, if it has the experiment.

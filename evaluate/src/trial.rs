@@ -125,22 +125,18 @@ impl<'a> Trial<'a> {
         self.is_upright().then(|| self.metric(name))?
     }
 
-    /// Returns the metrics of the quantities' names, none if the robot fell; [`FELL`] and `success`, no fall, are always defined.
+    /// Returns the metrics of the quantities' names, none if the robot fell; [`FELL`] and `success`, no fall, are always defined. The
+    /// velocity error is the length of mean velocity minus command in the horizontal plane, from 2 s to the end \[m/s\].
     pub fn upright_metrics(&self, quantities: &[Quantity]) -> TrialValues {
         let value = |quantity: &Quantity| match quantity.name {
             name if name == FELL.name => self.end.fell(),
             "success" => Some(f64::from(u8::from(self.is_upright()))),
-            "velocity_error_m_s" => self.velocity_error(),
-            name => self.upright_metric(name),
+            _ if !self.is_upright() => None,
+            "velocity_error_m_s" => metrics::velocity_error(self.trace, metrics::SETTLE_S, self.script.duration_s),
+            "flight_fraction" => metrics::flight_fraction(self.trace, metrics::SETTLE_S, self.script.duration_s),
+            name => self.metric(name),
         };
         quantities.iter().map(value).collect::<Vec<_>>().into()
-    }
-
-    /// Returns the length of mean velocity minus command in the horizontal plane, from 2 s to the end \[m/s\]; none if the
-    /// robot fell.
-    pub fn velocity_error(&self) -> Option<f64> {
-        let error = metrics::velocity_error(self.trace, metrics::SETTLE_S, self.script.duration_s);
-        error.filter(|_| self.is_upright())
     }
 }
 

@@ -6,9 +6,9 @@
     cargo run --release -p supple-evaluate --bin evaluate -- --exam admittance/policy.yaml --out exam
 
 An estimator learns the force on the trunk and the velocity of the base from what the walker observes, now and up to four steps
-ago, while hands pull at it in the environment of `real`. Beyond a dead band the force changes the walker's command: v* + c F. The
-walker observes the estimate in place of the felt force, so that all that differs from `real@0.05` is who feels. OUT gets
-`policy.onnx` and `policy.yaml`.
+ago, while hands pull at it in the environment of `real`: first on the walker alone, then also on the walker that yields. Beyond a
+dead band the force changes the walker's command to v* + c F, within its training range, and the walker observes the estimate in
+place of the felt force. OUT gets `policy.onnx` and `policy.yaml`.
 """
 
 import argparse
@@ -21,7 +21,7 @@ import supple
 from onnx import helper, numpy_helper
 from sklearn.neural_network import MLPRegressor
 
-RANGE_M_S = [0.5, 1.0]  # largest change of the command, left and forward: the walker's training range
+RANGE_M_S = np.array([0.5, 1.0])  # largest command, left and forward: the walker's training range
 PULL_SCALE, VELOCITY_SCALE = 0.05, 1.0  # of critic_observation in configs/real.yaml
 
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -42,28 +42,38 @@ seen = [k for k in range(len(names)) if k not in felt]
 commands = [k for k, name in enumerate(names) if name.startswith("commanded")][:2]
 labels = [critic.index(name) for name in ["pull left [N]", "pull forward [N]", "velocity left [m/s]", "velocity forward [m/s]"]]
 
-# What the walker does while it is pulled and pushed, with the noise of a policy that learns.
+
+def yielding(raw, force):
+    """What the walker observes: the command that yields to an estimated force, and that force."""
+    fed = raw.copy()
+    beyond = force - np.clip(force, -dead_band, dead_band)
+    fed[:, commands] = np.clip(raw[:, commands] + args.compliance * beyond, -RANGE_M_S, RANGE_M_S)
+    fed[:, felt] = force
+    return fed
+
+
+# What the walker does while it is pulled and pushed, with the noise of a policy that learns. The last fifth of a round is for measuring.
 rng = np.random.default_rng(args.seed)
 observations, info = env.reset()
-inputs, outputs = [], []
-for _ in range(args.samples // env.num_envs):
-    raw = (observations / env.observation_scale + env.observation_offset).astype(np.float32)
-    inputs.append(raw)
-    outputs.append(info["critic_observation"][:, labels] / [PULL_SCALE, PULL_SCALE, VELOCITY_SCALE, VELOCITY_SCALE])
-    targets = walker.run(None, {walker.get_inputs()[0].name: raw})[0]
-    actions = (targets - env.action_offset) / env.action_scale + rng.normal(0, 0.05, targets.shape)
-    observations, *_, info = env.step(actions.astype(np.float32))
-inputs, outputs = np.concatenate(inputs), np.concatenate(outputs)
-
-# The last fifth of the time is for measuring.
-mean, deviation = inputs[:, seen].mean(0), inputs[:, seen].std(0) + 1e-6
-scaled, scale = (inputs[:, seen] - mean) / deviation, outputs.std(0)
-known = len(scaled) * 4 // 5
-estimator = MLPRegressor(hidden_layer_sizes=(256, 128), batch_size=1024, learning_rate_init=1e-3, max_iter=15, random_state=args.seed)
-estimator.fit(scaled[:known], outputs[:known] / scale)
-estimates, truth = estimator.predict(scaled[known:]) * scale, outputs[known:]
-calm = np.hypot(*truth[:, :2].T) == 0
-dead_band = float(np.quantile(np.abs(estimates[calm, :2]), 0.95))
+inputs, outputs, estimator = [], [], None
+for steps in [args.samples // 2 // env.num_envs] * 2:
+    for _ in range(steps):
+        raw = (observations / env.observation_scale + env.observation_offset).astype(np.float32)
+        inputs.append(raw)
+        outputs.append(info["critic_observation"][:, labels] / [PULL_SCALE, PULL_SCALE, VELOCITY_SCALE, VELOCITY_SCALE])
+        fed = raw if estimator is None else yielding(raw, (estimator.predict((raw[:, seen] - mean) / deviation) * scale)[:, :2])
+        targets = walker.run(None, {walker.get_inputs()[0].name: fed})[0]
+        actions = (targets - env.action_offset) / env.action_scale + rng.normal(0, 0.05, targets.shape)
+        observations, *_, info = env.step(actions.astype(np.float32))
+    known = len(inputs) - steps // 5
+    seen_then, truth = np.concatenate(inputs)[:, seen], np.concatenate(outputs)
+    mean, deviation, scale = seen_then.mean(0), seen_then.std(0) + 1e-6, truth.std(0)
+    scaled, known = (seen_then - mean) / deviation, known * env.num_envs
+    estimator = MLPRegressor(hidden_layer_sizes=(256, 128), batch_size=1024, learning_rate_init=1e-3, max_iter=15, random_state=args.seed)
+    estimator.fit(scaled[:known], truth[:known] / scale)
+    estimates, truth = estimator.predict(scaled[known:]) * scale, truth[known:]
+    calm = np.hypot(*truth[:, :2].T) == 0
+    dead_band = float(np.quantile(np.abs(estimates[calm, :2]), 0.95))
 force, velocity = np.sqrt(((estimates - truth) ** 2).mean(0).reshape(2, 2).mean(1))
 gain = (estimates[:, :2] * truth[:, :2]).sum() / (truth[:, :2] ** 2).sum()
 print(f"estimates: force within {force:.2f} N RMSE (gain {gain:.2f}), velocity {velocity:.3f} m/s; dead band {dead_band:.1f} N")
@@ -96,16 +106,17 @@ for k, (weights, bias) in enumerate(layers):
         last = node("Relu", [last], f"relu{k}")
 within = node("Clip", [last, constant("low", -dead_band), constant("high", dead_band)], "within")
 beyond = node("Sub", [last, within], "beyond")
-change = node("Mul", [beyond, constant("compliance", args.compliance)], "wanted")
-change = node("Max", [node("Min", [change, constant("most", RANGE_M_S)], "capped"), constant("least", [-x for x in RANGE_M_S])], "change")
+change = node("Mul", [beyond, constant("compliance", args.compliance)], "change")
 to_command, to_felt = np.zeros((2, len(names))), np.zeros((2, len(names)))
 to_command[[0, 1], commands] = 1
 to_felt[[0, 1], felt] = 1
 kept = np.ones(len(names))
-kept[felt] = 0
-others = node("Mul", ["observed", constant("kept", kept)], "unfelt")
+kept[felt + commands] = 0
+wanted = node("Add", [node("MatMul", ["observed", constant("of_command", to_command.T)], "asked"), change], "wanted")
+command = node("Max", [node("Min", [wanted, constant("most", RANGE_M_S)], "capped"), constant("least", -RANGE_M_S)], "command")
+others = node("Mul", ["observed", constant("kept", kept)], "others")
 feels = node("Add", [others, node("MatMul", [last, constant("to_felt", to_felt)], "as_felt")], "feels")
-node("Add", [feels, node("MatMul", [change, constant("to_command", to_command)], "as_command")], whole)
+node("Add", [feels, node("MatMul", [command, constant("to_command", to_command)], "as_command")], whole)
 graph.input[0].name = "observed"
 nodes.extend(graph.node)
 del graph.node[:]
@@ -115,3 +126,9 @@ args.out.mkdir(parents=True, exist_ok=True)
 onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8), args.out / "policy.onnx")
 description = args.walker.with_suffix(".yaml").read_text().replace(f'"{args.walker.name}"', '"policy.onnx"')
 (args.out / "policy.yaml").write_text(description)
+
+# The graph does what the loop above did.
+raw = inputs[-1]
+fed = yielding(raw, (estimator.predict((raw[:, seen] - mean) / deviation) * scale)[:, :2])
+found = onnxruntime.InferenceSession(str(args.out / "policy.onnx")).run(None, {"observed": raw})[0]
+np.testing.assert_allclose(found, walker.run(None, {walker.get_inputs()[0].name: fed})[0], atol=1e-3)

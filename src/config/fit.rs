@@ -8,7 +8,7 @@ Of two robots of one shape, let the second be λ times as tall and μ times as h
 | `reward.base_height_m`, `reward.foot_height_m`, `episode.min_height_m` | λ |
 | `simulation.kp_n_m_per_rad` | μ λ |
 | `simulation.kd_n_m_s_per_rad` | μ λ √λ |
-| `reward.energy` and `reward.final_energy`, of a power | 1 / μ |
+| `reward.energy`, of a power | 1 / μ |
 | `reward.torque`, of a squared torque | 1 / (μ λ)² |
 | `reward.height_sharpness`, `reward.foot_clearance`, of squared heights | 1 / λ² |
 | `randomisation.trunk_mass_kg`, `trunk_offset_m` | μ, λ |
@@ -77,7 +77,6 @@ impl Config {
         simulation.kd_n_m_s_per_rad =
             simulation.kd_n_m_s_per_rad.map(|gain| rounded(gain * (mass * height * height.sqrt())));
         scale(&mut config.reward.energy, 1.0 / mass);
-        config.reward.final_energy.iter_mut().for_each(|value| scale(value, 1.0 / mass));
         config.reward.reference_m_s_per_n.iter_mut().flatten().for_each(|value| scale(value, 1.0 / mass));
         scale(&mut config.reward.torque, (mass * height).powi(-2));
         scale(&mut config.reward.height_sharpness, height.powi(-2));
@@ -224,7 +223,6 @@ mod tests {
                 simulation.kp_n_m_per_rad.largest(),
                 simulation.kd_n_m_s_per_rad.largest(),
                 reward.energy,
-                reward.final_energy.unwrap_or(1.0),
                 reward.torque,
                 reward.foot_clearance,
                 reward.base_height_m,

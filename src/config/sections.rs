@@ -296,13 +296,9 @@ pub struct Reward {
     /// Weight `w_ang` of the yaw rate reward.
     #[garde(custom(within(0.0..=1e6, "")))]
     pub angular_velocity: f64,
-    /// Weight `w_e` of the energy cost, at the beginning of the run with `final_energy`; not above zero.
+    /// Weight `w_e` of the energy cost; not above zero.
     #[garde(custom(cost))]
     pub energy: f64,
-    /// Weight `w_e` at the last sample of the run, which changes linearly until then: power that is dear from the beginning pays
-    /// robots for standing still. `None`: constant. Not above zero.
-    #[garde(inner(custom(cost)))]
-    pub final_energy: Option<f64>,
     /// Weight `w_τ` of the torque cost; not above zero.
     #[garde(custom(cost))]
     pub torque: f64,

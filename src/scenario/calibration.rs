@@ -34,6 +34,9 @@ const TRIED: [f64; 7] = [0.005, 0.01, 0.02, 0.03, 0.04, 0.05, 0.06];
 /// Commanded compliance for the measurement of how well the policy tracks a change of its command [m/s/N].
 const SOFT: f64 = 0.04;
 
+/// Smallest difference of a policy's own compliance from that one that counts [m/s/N].
+const LEAST_CHANGE: f64 = 0.002;
+
 /// Largest error of a measured compliance, as a fraction of the commanded one, up to which it can be commanded.
 const TOLERANCE: f64 = 0.25;
 
@@ -49,7 +52,7 @@ pub enum CalibrationError {
     /// MuJoCo fails during a walk.
     #[error(transparent)]
     Physics(#[from] mujoco::Error),
-    /// The robot falls without a pull, or under the weakest pull.
+    /// The robot falls, at one of the settings that each measurement needs.
     #[error("it falls {0}, so its compliance cannot be measured")]
     Falls(&'static str),
     /// The policy, the physics or the sensors fail in a walk without commanded compliance.
@@ -88,14 +91,20 @@ impl Probe {
 /// The robot falls, does not yield as commanded, or cannot be simulated, or the policy fails.
 pub fn calibrate(agent: &mut Agent, threads: usize) -> Result<PolicyCalibration, CalibrationError> {
     agent.calibration = None;
-    let own = compliance(agent, None, threads)?.ok_or(CalibrationError::Falls("when pulled with 10 or 20 N"))?;
+    let own = compliance(agent, None, threads)?
+        .ok_or(CalibrationError::Falls("without a pull, or pulled with 10 or 20 N"))?;
     let mass_kg = agent.config.robot.load().map_err(ScriptError::from)?.mass_kg;
     let (sha256, points) = (agent.sha256.clone(), Vec::new());
     let mut calibration = PolicyCalibration { sha256, mass_kg, own_m_s_per_n: own, tracking: [1.0; 2], points };
     agent.calibration = Some(calibration.clone());
     // The compliance that is missing at a soft setting is the part of the command that the policy does not track.
-    let soft = compliance(agent, Some(SOFT), threads)?.ok_or(CalibrationError::Falls("commanded 0.04 m/s/N"))?;
-    calibration.tracking = std::array::from_fn(|axis| ((soft[axis] - own[axis]) / (SOFT - own[axis])).clamp(0.5, 1.5));
+    let soft =
+        compliance(agent, Some(SOFT), threads)?.ok_or(CalibrationError::Falls("or fails, commanded 0.04 m/s/N"))?;
+    calibration.tracking = std::array::from_fn(|axis| {
+        let change = SOFT - own[axis];
+        // A change that is small against the error of its measurement says nothing.
+        if change.abs() < LEAST_CHANGE { 1.0 } else { ((soft[axis] - own[axis]) / change).clamp(0.5, 1.5) }
+    });
     agent.calibration = Some(calibration.clone());
     for commanded in TRIED {
         // A compliance at which pulls make it fall, or that it does not reach, is left out of the range.

@@ -6,7 +6,7 @@ its time. Velocities are in the heading frame (forward, left).
 
 use crate::scenario::trace::{Frame, Trace};
 use crate::task::Command;
-use crate::util::numbers::maximum;
+use crate::util::numbers::{self, maximum};
 
 /// Length of the moving average in decay times, about a stride \[s\].
 pub const STRIDE_S: f64 = 0.4;
@@ -93,13 +93,7 @@ pub fn whole_window(trace: &Trace, from_s: f64, until_s: f64) -> Option<impl Ite
 
 /// Returns the mean of a quantity over frames, if there are any.
 pub fn mean<'a>(frames: impl Iterator<Item = &'a Frame>, of: impl Fn(&Frame) -> f64) -> Option<f64> {
-    average(frames.map(of))
-}
-
-/// Returns the mean of numbers, if there are any.
-pub(super) fn average(values: impl Iterator<Item = f64>) -> Option<f64> {
-    let (sum, count) = values.fold((0.0, 0_u32), |(sum, count), value| (sum + value, count + 1));
-    (count > 0).then(|| sum / f64::from(count))
+    numbers::mean(frames.map(of))
 }
 
 /// Returns the mean velocity minus the command: forward [m/s], left [m/s], yaw rate [rad/s].

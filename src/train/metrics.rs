@@ -11,6 +11,7 @@ use crate::ranks::{Ranks, sum_over_samples};
 use crate::task::Terms;
 use crate::train::collection::Rollout;
 use crate::train::environment::{EpisodeEnd, EpisodeReport};
+use crate::util::numbers::mean;
 
 /// Metrics of one iteration.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -157,11 +158,6 @@ pub fn explained_variance(ranks: &dyn Ranks, shards: usize, rollout: &Rollout, r
     let total = variance(&|row| f64::from(returns[row]));
     let unexplained = variance(&|row| f64::from(returns[row]) - f64::from(rollout.values[row]));
     if total > 0.0 { 1.0 - unexplained / total } else { 0.0 }
-}
-
-fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
-    let (sum, count) = values.fold((0.0, 0_u32), |(sum, count), value| (sum + value, count + 1));
-    (count > 0).then(|| sum / f64::from(count))
 }
 
 impl IterationMetrics {

@@ -233,11 +233,8 @@ impl Trainer {
     pub fn iterate(&mut self) -> Result<IterationMetrics, TrainError> {
         let started = Instant::now();
         let network = self.learner.parameters();
-        let Config { ppo, reward, run, .. } = &self.run.config;
+        let Config { ppo, run, .. } = &self.run.config;
         let part = self.run.samples as f64 / run.samples as f64;
-        for environment in &mut self.environments {
-            environment.set_energy_weight(weight_after(reward.energy, reward.final_energy, part));
-        }
         let (seed, iteration, curriculum) = (self.run.seed, self.run.iteration, self.run.curriculum);
         let threads = self.threads;
         let collection = Collection { network: &network, seed, iteration, steps: ppo.steps(), curriculum, threads };

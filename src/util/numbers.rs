@@ -1,4 +1,4 @@
-//! Comparisons that propagate NaN, which `f64::max` ignores, and numbers as short texts.
+//! Comparisons that propagate NaN, which `f64::max` ignores, means, and numbers as short texts.
 
 /// Returns the larger number; NaN if one of them is NaN.
 pub fn maximum(a: f64, b: f64) -> f64 {
@@ -8,6 +8,12 @@ pub fn maximum(a: f64, b: f64) -> f64 {
 /// Returns the largest magnitude: 0 for no numbers, NaN if one of them is NaN.
 pub(crate) fn largest_magnitude(numbers: impl IntoIterator<Item = f64>) -> f64 {
     numbers.into_iter().map(f64::abs).fold(0.0, maximum)
+}
+
+/// Returns the mean; `None` if there are no values.
+pub fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let (sum, count) = values.fold((0.0, 0_u32), |(sum, count), value| (sum + value, count + 1));
+    (count > 0).then(|| sum / f64::from(count))
 }
 
 /// Returns true if all numbers are finite, also in single precision.

@@ -289,6 +289,8 @@ impl World {
 
     /// Sets the clock back to zero.
     pub fn rewind_clock(&mut self) {
+        let passed_s = self.time_s();
+        self.last_push = self.last_push.map(|(at_s, change)| (at_s - passed_s, change));
         self.steps = 0;
         self.sim.data_mut().set_time_s(0.0);
     }
@@ -330,11 +332,6 @@ impl World {
         fn sim(&self) -> &Sim = &self.sim;
         /// Returns the simulation, to be changed.
         fn sim_mut(&mut self) -> &mut Sim = &mut self.sim;
-    }
-
-    /// Changes the weight of the energy cost.
-    pub fn set_energy_weight(&mut self, weight: f64) {
-        self.reward.energy = weight;
     }
 
     /// Returns the state from which the world continues with the same bits.

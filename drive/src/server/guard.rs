@@ -90,7 +90,8 @@ fn refusal(shared: &Shared, request: &Request, is_socket: bool) -> Option<&'stat
 /// Returns the requested host if it is localhost or an IP address with our port (guards against DNS rebinding).
 fn host(headers: &HeaderMap, port: u16) -> Option<&str> {
     let host = single(headers, HOST.as_str())?;
-    let name = host.strip_suffix(&format!(":{port}"))?;
+    // Browsers leave out the port of HTTP.
+    let name = host.strip_suffix(&format!(":{port}")).or((port == 80).then_some(host))?;
     let name = name.strip_prefix('[').and_then(|name| name.strip_suffix(']')).unwrap_or(name);
     (name == "localhost" || name.parse::<IpAddr>().is_ok()).then_some(host)
 }

@@ -22,9 +22,9 @@ use crate::viewer_stream;
 /// Largest message of a page \[bytes\].
 const LARGEST: usize = 4 << 10;
 /// Largest mean rate of a page's messages \[1/s\].
-const RATE: f64 = 150.0;
+const RATE: f64 = 1000.0;
 /// Largest number of a page's messages at once.
-const BURST: f64 = 300.0;
+const BURST: f64 = 2000.0;
 /// Longest time a page may take to read a message.
 const PATIENCE: Duration = Duration::from_secs(5);
 /// Largest number of files sent to a viewer and not yet shown.

@@ -199,6 +199,8 @@ pub struct Grade {
 pub struct Examination {
     /// The names of the policies: the examined one first.
     pub names: Vec<String>,
+    /// The robot of the examined policy.
+    pub robot: String,
     /// How the policies were trained.
     pub training: Vec<Training>,
     /// The grades in the order of the disciplines.
@@ -326,7 +328,9 @@ impl Exam {
             measures.extend(found.map(|Measurement { results, .. }| measure.means(&results)));
         }
         let (training, notes) = (self.nominal.training(), self.notes.clone());
-        Ok(Examination { names, training, grades, measures, notes, faults: faults.into_iter().collect() })
+        let robot =
+            self.nominal.members().next().map_or_else(String::new, |(_, it)| it.agent.config.robot.model.clone());
+        Ok(Examination { names, robot, training, grades, measures, notes, faults: faults.into_iter().collect() })
     }
 }
 

@@ -86,8 +86,13 @@ fn page(examination: &Examination, film: Option<&Film>, figure: &str, command: &
         @for note in examination.notes.iter().chain(&examination.faults) { p.note { (note) } }
         figure { (PreEscaped(figure)) }
         (table(examination))
-        p { "Means over trials: docs/benchmark.md defines them. Trials with a fall have no number, except for impulses survived." }
-        (numbers(examination))
+        p { "Means over trials: docs/benchmark.md defines them. Trials with a fall have no number, except for those of shoves." }
+        (scrolled(html! {
+            tr { th { "measure" } @for name in &examination.names { th { (name) } } }
+            @for found in &examination.measures {
+                tr { td { (measure_text(found)) } @for mean in &found.means { td.number { (mean_text(mean)) } } }
+            }
+        }))
         @if let Some(film) = film {
             figure {
                 img src="fall.png" alt="Six pictures of a fall" style="width:100%";
@@ -109,15 +114,6 @@ fn table(examination: &Examination) -> Markup {
                 @for score in &grade.scores { td.number { (score_text(*score)) } }
                 td.number { (falls(grade)) }
             }
-        }
-    })
-}
-
-fn numbers(examination: &Examination) -> Markup {
-    scrolled(html! {
-        tr { th { "measure" } @for name in &examination.names { th { (name) } } }
-        @for found in &examination.measures {
-            tr { td { (measure_text(found)) } @for mean in &found.means { td.number { (mean_text(mean)) } } }
         }
     })
 }

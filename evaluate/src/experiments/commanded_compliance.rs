@@ -172,9 +172,10 @@ impl Experiment for CommandedCompliance {
                      seconds of the pull. For each policy, a line is fitted to the means over all directions against \
                      the commanded compliance c. Only pulls with c·F of at most 0.5 m/s count, so that no robot is \
                      pulled faster than it can walk. The forward and left compliances, a and b, are the best fit of a \
-                     cos² θ + b sin² θ over all directions θ; they have their own lines. With the same commands, the \
-                     robot is also pushed ahead and to the left by Δv = 0.5 m/s. An ideal robot is carried by c·m·Δv, \
-                     and a tenth of the push is left after 2.3·m·c.",
+                     cos² θ + b sin² θ over all directions θ; they have their own lines. Walking with the same \
+                     compliances, the robot is also pushed ahead and to the left by Δv = 0.5 m/s. The distance over \
+                     which it is carried is that of two seconds; an ideal robot's is c·m·Δv in the end, and a tenth \
+                     of the push is left after 2.3·m·c.",
             ..ExperimentInfo::new("E13", 14, "calibration", "Compliance as commanded", QUANTITIES, self.trials)
         }
     }

@@ -16,12 +16,6 @@ const QUANTITIES: &[Quantity] = &[
     Quantity::new("mean_n", "mean", "N", 2),
     Quantity::new("sd_n", "standard deviation", "N", 2),
     Quantity::new("q95_n", "95 % quantile", "N", 2),
-    Quantity::new("mean_forward_n", "mean, forward", "N", 2),
-    Quantity::new("mean_left_n", "mean, left", "N", 2),
-    Quantity::new("mean_up_n", "mean, up", "N", 2),
-    Quantity::new("sd_forward_n", "standard deviation, forward", "N", 2),
-    Quantity::new("sd_left_n", "standard deviation, left", "N", 2),
-    Quantity::new("sd_up_n", "standard deviation, up", "N", 2),
     Quantity::new("in_doubt", "frames in doubt", "%", 1),
     FELL,
 ];
@@ -212,36 +206,34 @@ fn forces(trial: &Trial, [from_s, until_s]: [f64; 2]) -> (Vec<FeltForces>, Optio
     (if is_long { trusted } else { Vec::new() }, doubted)
 }
 
-/// Returns the felt minus the true force \[N\].
-fn error(felt: &FeltForces) -> [f64; 3] {
+/// Returns the felt minus the true force, forward and left \[N\].
+fn error(felt: &FeltForces) -> [f64; 2] {
     std::array::from_fn(|axis| felt.force[axis] - felt.true_force[axis])
 }
 
 /// Returns RMSE \[N\], felt force along the true one \[N\] and gain under a pull, in the horizontal plane.
 fn while_pulled(forces: &[FeltForces]) -> [Option<f64>; OF_PULLS] {
-    let product = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1];
-    let squares = mean(forces.iter().map(|felt| product(error(felt), error(felt))));
-    let works = mean(forces.iter().map(|felt| product(felt.force, felt.true_force)));
-    let truths = mean(forces.iter().map(|felt| product(felt.true_force, felt.true_force)));
+    let product = |a: &[f64], b: &[f64]| a[0] * b[0] + a[1] * b[1];
+    let squares = mean(forces.iter().map(|felt| product(&error(felt), &error(felt))));
+    let works = mean(forces.iter().map(|felt| product(&felt.force, &felt.true_force)));
+    let truths = mean(forces.iter().map(|felt| product(&felt.true_force, &felt.true_force)));
     let along = works.zip(truths).filter(|(_, truth)| *truth > 0.0);
     [squares.map(f64::sqrt), along.map(|(work, truth)| work / truth.sqrt()), along.map(|(work, truth)| work / truth)]
 }
 
 /// Returns statistics of the felt minus the true force \[N\]: mean and standard deviation (larger of forward and left), 95 % quantile of
-/// the horizontal force, then means and standard deviations by axis.
-fn while_not_pulled(forces: &[FeltForces]) -> [Option<f64>; 9] {
-    let means: [Option<f64>; 3] = std::array::from_fn(|axis| mean(forces.iter().map(|felt| error(felt)[axis])));
-    let deviations = [0, 1, 2].map(|axis| {
+/// the horizontal force.
+fn while_not_pulled(forces: &[FeltForces]) -> [Option<f64>; 3] {
+    let means = [0, 1].map(|axis| mean(forces.iter().map(|felt| error(felt)[axis])));
+    let deviations = [0, 1].map(|axis| {
         let squares = mean(forces.iter().map(|felt| (error(felt)[axis] - means[axis].unwrap_or(0.0)).powi(2)));
         squares.map(f64::sqrt)
     });
-    let larger = |of: [Option<f64>; 3]| of[0].zip(of[1]).map(|(forward, left)| forward.abs().max(left.abs()));
+    let larger = |of: [Option<f64>; 2]| of[0].zip(of[1]).map(|(forward, left)| forward.abs().max(left.abs()));
     let mut sizes: Vec<f64> = forces.iter().map(|felt| error(felt)[0].hypot(error(felt)[1])).collect();
     sizes.sort_by(f64::total_cmp);
     let quantile = sizes.len().checked_sub(1).map(|last| sizes[(0.95 * last as f64).round() as usize]);
-    let [forward, left, up] = means;
-    let [sd_forward, sd_left, sd_up] = deviations;
-    [larger(means), larger(deviations), quantile, forward, left, up, sd_forward, sd_left, sd_up]
+    [larger(means), larger(deviations), quantile]
 }
 
 impl Experiment for Felt {
@@ -362,28 +354,6 @@ impl Experiment for Felt {
              the range over commands and directions: a band, or a bar for a single force. Dashed: equal forces.",
             svg,
         );
-        let by_gait = [0.0, 1.0].map(|command| {
-            let is_it =
-                |condition: &usize| gait(results.conditions[*condition].scenario.task().forward_m_s) == gait(command);
-            ConditionGroup::new(gait(command), steady.iter().copied().filter(is_it))
-        });
-        section.polar(
-            "directions",
-            "RMSE of the felt against the true force under steady pulls, by the direction of the pull",
-            ("rmse_n", &results.quantity("rmse_n").axis()),
-            (&by_gait, self.directions),
-            Scales::Shared,
-            "Means are over forces and commands.",
-        );
-        let unpulled: Vec<ConditionGroup> =
-            located.into_iter().filter(|(role, _)| !is_pulled(*role)).map(|(_, group)| group).collect();
-        section.grouped_dots(
-            "unpulled",
-            "Felt minus true force on the trunk without a pull",
-            &unpulled,
-            &["mean_n", "sd_n", "q95_n"],
-            "Mean and standard deviation are the larger of forward and left, the quantile is of the horizontal force.",
-        );
     }
 }
 
@@ -409,10 +379,9 @@ mod tests {
     fn true_contacts_are_no_error_where_nothing_pulls() {
         let forces: Vec<FeltForces> =
             (0..101).map(|k| felt([5.0 + f64::from(k % 2), -3.0, 1.0], [5.0, 0.0, 0.0])).collect();
-        let [mean, sd, quantile, forward, left, up, sd_forward, sd_left, _] =
-            while_not_pulled(&forces).map(Option::unwrap);
-        assert_eq!((mean, left, up, sd_left), (3.0, -3.0, 1.0, 0.0));
-        assert!((forward - 0.5).abs() < 0.01 && (sd - 0.5).abs() < 0.01 && sd == sd_forward);
+        let [mean, sd, quantile] = while_not_pulled(&forces).map(Option::unwrap);
+        // Forward 0 or 1, left −3: the larger mean is that of left, the larger deviation that of forward.
+        assert!(mean == 3.0 && (sd - 0.5).abs() < 0.01);
         assert!((quantile - 10.0_f64.sqrt()).abs() < 1e-12);
     }
 }

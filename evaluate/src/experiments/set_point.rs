@@ -30,8 +30,8 @@ impl Experiment for SetPoint {
                      in m/s. With the compliance c it is to act as a spring of κ/c, tied to the start, with a damper \
                      of 1/c. A constant force pulls its trunk away, in directions all around. Stiffness is the force \
                      over the displacement along it, mean over the last seconds of the pull; its error is relative \
-                     to κ/c. The distance is that at the end of the trial, as long after the pull as it lasted. A \
-                     fall leaves all but the falls undefined.",
+                     to κ/c, at most 100 %. The distance is that at the end of the trial, as long after the pull as \
+                     it lasted. A fall leaves all but the falls undefined.",
             ..ExperimentInfo::new("E17", 20, "set-point", "Held at a set point", QUANTITIES, self.trials)
         }
     }
@@ -49,6 +49,8 @@ impl Experiment for SetPoint {
 
     fn check(&self) -> Result<(), ParameterError> {
         in_range("set_point_per_s", self.set_point_per_s, 0.1, 10.0, "0.1 to 10 per second")?;
+        in_range("force_n", self.force_n, 1.0, 1000.0, "1 to 1000 N")?;
+        in_range("for_s", self.for_s, 0.1, 60.0, "0.1 to 60 s")?;
         in_range("average_s", self.average_s, 0.1, self.for_s, "0.1 s to set_point.for_s")?;
         check_directions(self.directions)
     }

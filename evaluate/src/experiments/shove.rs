@@ -53,6 +53,9 @@ impl Experiment for Shove {
     fn check(&self) -> Result<(), ParameterError> {
         in_range("shoves", f64::from(self.shoves), 1.0, 100.0, "1 to 100")?;
         in_range("every_s", self.every_s, 1.0, 60.0, "1 to 60 s")?;
+        let shorter =
+            |for_s: f64| in_range("durations_s", for_s, 0.01, 0.5 * self.every_s, "0.01 s to half of shove.every_s");
+        self.durations_s.iter().copied().try_for_each(shorter)?;
         check_directions(self.directions)
     }
 

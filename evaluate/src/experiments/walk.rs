@@ -125,22 +125,6 @@ impl Experiment for Walk {
         payloads.copied().try_for_each(|kg| in_range("payloads_kg", kg, 0.1, 10.0, "0.1 to 10 kg"))
     }
 
-    fn measure(&self, trial: &Trial) -> TrialValues {
-        let (trace, end_s) = (trial.trace, trial.script.duration_s);
-        let errors = metrics::velocity_errors(trace, metrics::SETTLE_S, end_s);
-        let value = |quantity: &Quantity| match quantity.name {
-            "fell" => trial.end.fell(),
-            _ if !trial.is_upright() => None,
-            "velocity_error_m_s" => trial.velocity_error(),
-            "forward_error_m_s" => Some(errors?[0]),
-            "left_error_m_s" => Some(errors?[1]),
-            "yaw_error_rad_s" => Some(errors?[2]),
-            "flight_fraction" => metrics::flight_fraction(trace, metrics::SETTLE_S, end_s),
-            name => trial.metric(name),
-        };
-        QUANTITIES.iter().map(value).collect::<Vec<_>>().into()
-    }
-
     fn report(&self, section: &mut SectionBuilder) {
         let caption = "Walking undisturbed, by command: forward and left in m/s, turn (to the left) in rad/s.";
         let (results, first) = (section.results, section.first_label());

@@ -224,7 +224,7 @@ impl<'a> Bridge<'a> {
             Some((0, 0)) => Ok((now_s - self.last_s).clamp(1e-4, 1e-3 * f64::from(MAX_GAP_MS))),
             // The state came twice or out of order.
             Some((_, gap)) if gap.wrapping_neg() <= MAX_GAP_MS => {
-                self.damp_if_asked(&orders, now_s);
+                self.obey_without_reading(&orders, now_s);
                 return self.wait(now_s);
             }
             Some((_, gap)) if gap <= MAX_GAP_MS => Ok(1e-3 * f64::from(gap)),
@@ -251,17 +251,16 @@ impl<'a> Bridge<'a> {
                 self.fail(fault);
                 // The estimators may have used this reading, so they start again with the next valid one.
                 self.perception_is_stale = true;
-                self.damp_if_asked(&orders, now_s);
+                self.obey_without_reading(&orders, now_s);
             }
         }
         &self.output
     }
 
-    /// Damps if an order asks for it, also when the reading is not used.
-    fn damp_if_asked(&mut self, orders: &[Order], now_s: f64) {
-        if orders.contains(&Order::Wish(Wish::Damp)) {
-            self.wish(Wish::Damp, now_s);
-        }
+    /// Obeys the orders that hold although the reading is not used: to damp, and where the sticks are now.
+    fn obey_without_reading(&mut self, orders: &[Order], now_s: f64) {
+        let holds = |order: &&Order| matches!(order, Order::Wish(Wish::Damp) | Order::Command(_));
+        orders.iter().filter(holds).for_each(|order| self.order(order, now_s));
     }
 
     /// Returns what to send at `now_s` \[s\] if nothing new has come from the robot.
@@ -559,6 +558,13 @@ mod tests {
         assert_eq!(rig.bridge.command.forward, 0.5);
         rig.step(|it| it.wireless_remote = walk.with(Button::Select).to_bytes());
         assert_eq!(rig.bridge.phase, Phase::Damped(Fault::Asked));
+        // A stick that is released while states are missing.
+        let tilted = Remote { left: [0.0, 0.25], ..Remote::default() };
+        rig.step(|it| it.wireless_remote = tilted.to_bytes());
+        assert_eq!(rig.bridge.command.forward, 0.25);
+        rig.tick_ms += 150;
+        rig.run(0.1);
+        assert_eq!(rig.bridge.command, Command::default());
     }
 
     #[test]

@@ -62,7 +62,7 @@ pub struct Settings {
     /// Take orders as JSON lines from UDP on this port of this machine; the velocity becomes 0 half a second after the last
     #[arg(long, value_name = "PORT")]
     pub udp: Option<u16>,
-    /// Log of states and commands; its older half is FILE.old
+    /// Log of states and commands; its older half is FILE.old, an earlier log FILE.1
     #[arg(long, value_name = "FILE", default_value = "robot-log.csv")]
     pub log: PathBuf,
     /// Print one JSON object on stdout at the end
@@ -134,6 +134,9 @@ pub fn drive(
     if Reading::is_unsigned(&first.message) {
         terminal::note("note: the states have no checksum, like those of unitree_mujoco; a real Go2 sends one");
     }
+    // Before the robot's own controller lets go.
+    let path = &settings.log;
+    let log = Log::create(path, ROWS).with_context(|| format!("cannot write the log {}", path.display()))?;
     if !settings.no_release && !settings.dry_run && !stop.load(Ordering::Relaxed) {
         let mode = Client::new(&node)?.release(stop)?;
         if !mode.is_empty() {
@@ -160,8 +163,6 @@ pub fn drive(
         // A failed send appears as silence, which both sides detect.
         Outlet::new(limit, move |motors| drop(publisher.send(LowCmd::of_motors(motors))))
     };
-    let path = &settings.log;
-    let log = Log::create(path, ROWS).with_context(|| format!("cannot write the log {}", path.display()))?;
     let mut drive = Drive {
         bridge,
         outlet,

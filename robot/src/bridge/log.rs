@@ -98,13 +98,17 @@ pub fn older(path: &Path) -> PathBuf {
 }
 
 impl Log {
-    /// Opens a log whose two files have at most `rows` rows each. Both files of an earlier log of this name are deleted.
+    /// Opens a log whose two files have at most `rows` rows each. An earlier log of this name stays as `NAME.1`, `NAME.2` and so on.
     pub fn create(path: &Path, rows: u64) -> io::Result<Self> {
-        let file = open(path)?;
-        match std::fs::remove_file(older(path)) {
-            Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
-            _ => (),
+        let numbered = |number: u32| PathBuf::from(format!("{}.{number}", path.display()));
+        let is_free = |path: &PathBuf| !path.exists() && !older(path).exists();
+        let kept = (1..).map(numbered).find(is_free).expect("there is no end of numbers");
+        for (from, to) in [(path.to_owned(), kept.clone()), (older(path), older(&kept))] {
+            if from.is_file() {
+                std::fs::rename(from, to)?;
+            }
         }
+        let file = open(path)?;
         let (sender, receiver) = sync_channel(WAITING);
         let path = path.to_owned();
         let thread = std::thread::spawn(move || write(&path, file, rows, &receiver));
@@ -135,7 +139,8 @@ fn open(path: &Path) -> io::Result<BufWriter<File>> {
 fn write(path: &Path, mut file: BufWriter<File>, rows: u64, sent: &Receiver<(&'static str, Row)>) -> io::Result<()> {
     let mut written = 0;
     for (phase, row) in sent {
-        if written == rows {
+        // A pipe or a device stays.
+        if written == rows && path.is_file() {
             file.flush()?;
             std::fs::rename(path, older(path))?;
             (file, written) = (open(path)?, 0);
@@ -187,11 +192,13 @@ pub(crate) mod tests {
         let lines = |path: &Path| std::fs::read_to_string(path).unwrap().lines().count() - 1;
         assert_eq!((lines(&path), lines(&older(&path))), (5, 10));
         assert!(std::fs::read_to_string(&path).unwrap().lines().last().unwrap().starts_with("policy,34"));
-        // A new log keeps nothing of the last one. Clocks keep their milliseconds for days.
+        // A new log keeps both files of the last one. Clocks keep their milliseconds for days.
         let mut log = Log::create(&path, 10).unwrap();
         log.add("policy", &Row { time_s: 400_000.002, tick_s: 4_000_000.001, ..row(0.0) });
         log.finish().1.unwrap();
         assert!(lines(&path) == 1 && !older(&path).exists());
+        let kept = folder.path().join("log.csv.1");
+        assert_eq!((lines(&kept), lines(&older(&kept))), (5, 10));
         let text = std::fs::read_to_string(&path).unwrap();
         assert!(text.lines().last().unwrap().starts_with("policy,400000.0020,4000000.0010,"), "{text}");
     }

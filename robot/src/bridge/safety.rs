@@ -20,6 +20,8 @@ pub enum Fault {
     Tilt { found_deg: f64, limit_deg: f64 },
     #[error("{joint} turns at {found:+.1} rad/s, at most {limit:.1} rad/s is allowed")]
     JointRate { joint: String, found: f64, limit: f64 },
+    #[error("{joint} is at {found:.2} rad, its range is {low:.2} to {high:.2} rad: its encoder is wrong")]
+    JointRange { joint: String, found: f64, low: f64, high: f64 },
     #[error("{joint} has given {found:+.1} N m, close to its limit, for {for_s:.1} s")]
     Torque { joint: String, found: f64, for_s: f64 },
     #[error("the motor of {joint} is at {found} °C, at most {limit} °C is allowed: let it cool")]
@@ -44,6 +46,8 @@ pub const SILENCE_S: f64 = 0.1;
 const TILT_RAD: f64 = 1.0;
 /// Largest joint rate [rad/s]; a Go2's motors reach 30.
 const JOINT_RATE_RAD_S: f64 = 35.0;
+/// A joint angle farther than this out of its range cannot be true \[rad\].
+const ANGLE_BEYOND_RAD: f64 = 0.5;
 /// Fraction of the torque limit above which a motor works too hard, and the longest time above it \[s\].
 const TORQUE_FRACTION: f64 = 0.95;
 const TORQUE_S: f64 = 0.5;
@@ -87,6 +91,10 @@ impl Guard {
             let (name, rate, torque) = (joint_name(joint), reading.encoders.rates[joint], reading.torques[joint]);
             if rate.abs() > JOINT_RATE_RAD_S {
                 return Err(Fault::JointRate { joint: name, found: rate, limit: JOINT_RATE_RAD_S });
+            }
+            let (found, [low, high]) = (reading.encoders.angles[joint], self.joint_limits[joint]);
+            if !(low - ANGLE_BEYOND_RAD..=high + ANGLE_BEYOND_RAD).contains(&found) {
+                return Err(Fault::JointRange { joint: name, found, low, high });
             }
             let strains = torque.abs() > TORQUE_FRACTION * self.torque_limits[joint];
             let straining_s = &mut self.straining_s[joint];
@@ -177,6 +185,9 @@ mod tests {
         assert!(matches!(rolled, Err(Fault::Tilt { .. })), "{rolled:?}");
         let fast = Fault::JointRate { joint: "FL_thigh".to_owned(), found: -36.0, limit: JOINT_RATE_RAD_S };
         assert_eq!(checked(|it| it.motor_state[4].dq = -36.0), Err(fast));
+        // A calf's encoder that is off by a turn.
+        let far = checked(|it| it.motor_state[2].q = 3.5);
+        assert!(matches!(far, Err(Fault::JointRange { .. })), "{far:?}");
         let hot = Fault::Temperature { joint: "FL_thigh".to_owned(), found: 90, limit: TEMPERATURE_C };
         assert_eq!(checked(|it| it.motor_state[4].temperature = 90), Err(hot));
         assert_eq!(checked(|it| it.bms_state.soc = 5), Err(Fault::Battery { found: 5, limit: CHARGE_PERCENT }));

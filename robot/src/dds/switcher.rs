@@ -196,13 +196,13 @@ impl Client {
         name.map_err(|_| anyhow!("motion_switcher answers '{data}', expected JSON with a name"))
     }
 
-    /// Releases the robot's own controller, and returns the mode in which the robot was. Nothing is released once `stop` is true.
+    /// Releases the robot's own controller, and returns the mode in which the robot was; empty if it had none, or if `stop` comes first.
     pub fn release(&mut self, stop: &AtomicBool) -> Result<String> {
         let first = self.mode()?;
         let mut mode = first.clone();
         for _ in 0..RELEASES {
             if mode.is_empty() || stop.load(Ordering::Relaxed) {
-                return Ok(first);
+                return Ok(if mode.is_empty() { first } else { String::new() });
             }
             self.call(RELEASE_MODE)?;
             mode = self.mode()?;

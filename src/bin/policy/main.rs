@@ -294,13 +294,18 @@ fn calibration_table(calibration: &PolicyCalibration) -> String {
     table
 }
 
-/// Refuses to overwrite a description that was written by hand, or the network with its description.
+/// Refuses to overwrite files that `policy export` did not write, or the network with its description.
 fn spare(network: &Path, description: &Path) -> anyhow::Result<()> {
-    let (out, yaml) = (network.display(), description.display());
+    let out = network.display();
     anyhow::ensure!(network != description, "--out {out} is where the description goes: name it {out}.onnx or so");
-    if let Ok(text) = files::read_text(description, MAX_DESCRIPTION_BYTES) {
-        let ours = external::is_described_by_us(&text);
-        anyhow::ensure!(ours, "{yaml} was not written by `policy export`: choose another --out, or move it away");
+    let text = files::read_text(description, MAX_DESCRIPTION_BYTES);
+    let ours = text.is_ok_and(|text| external::is_described_by_us(&text));
+    for path in [description, network, &PolicyCalibration::path(description)] {
+        let shown = path.display();
+        anyhow::ensure!(
+            ours || !path.exists(),
+            "{shown} was not written by `policy export`: choose another --out, or move it away"
+        );
     }
     Ok(())
 }

@@ -4,8 +4,9 @@ use super::{
     Act, Input, LiveReadout, LiveSession, Outcome, PullReading, PushReading, SceneKind, Seat, SessionError,
     SessionReplay,
 };
-use crate::scenario::metrics::{self, Metric, STRIDE_S, average};
+use crate::scenario::metrics::{self, Metric, STRIDE_S};
 use crate::scenario::trace::{EventKind, Frame, Trace};
+use crate::util::numbers::mean;
 
 /// A part of a session in which scene, policy and compliance of one robot do not change.
 #[derive(Debug)]
@@ -134,11 +135,11 @@ impl Take {
     pub fn metrics(&self) -> Vec<Metric> {
         let count = |kind: EventKind| self.trace.events.iter().filter(|event| event.kind == kind).count() as f64;
         let over: Vec<&PushReading> = self.pushes.iter().filter(|push| push.outcome == Outcome::Over).collect();
-        let pushed = average(over.iter().map(|push| push.size_m_s[0].hypot(push.size_m_s[1])));
-        let carried = average(over.iter().filter_map(|push| push.carried_m));
-        let decay = average(over.iter().filter_map(|push| push.decay_s));
-        let pulled = average(self.pulls.iter().map(|pull| pull.force_n));
-        let gives = average(self.pulls.iter().map(|pull| pull.gives_m_s));
+        let pushed = mean(over.iter().map(|push| push.size_m_s[0].hypot(push.size_m_s[1])));
+        let carried = mean(over.iter().filter_map(|push| push.carried_m));
+        let decay = mean(over.iter().filter_map(|push| push.decay_s));
+        let pulled = mean(self.pulls.iter().map(|pull| pull.force_n));
+        let gives = mean(self.pulls.iter().map(|pull| pull.gives_m_s));
         let power = metrics::mean(self.trace.frames.iter(), |frame| frame.power_w);
         let error = metrics::mean(self.trace.frames.iter(), |frame| {
             let [forward, left, _] = frame.velocity_in_heading;

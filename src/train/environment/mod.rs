@@ -286,11 +286,6 @@ impl LocomotionEnv {
         }
     }
 
-    /// Changes the weight of the energy cost, which is `reward.energy` at first.
-    pub fn set_energy_weight(&mut self, weight: f64) {
-        self.world.set_energy_weight(weight);
-    }
-
     methods! {
         /// Returns the environment's index in the run.
         fn index(&self) -> u64 = self.index;

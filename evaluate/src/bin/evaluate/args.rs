@@ -40,7 +40,9 @@ pub struct Args {
     ])]
     pub exam: Option<PathBuf>,
     /// Draw the learning curves of runs instead, into the folder --out; runs/fast stands for all its seeds
-    #[arg(long, value_name = "PATH", num_args = 1.., conflicts_with_all = ["exam", "policies", "a", "names"])]
+    #[arg(long, value_name = "PATH", num_args = 1.., conflicts_with_all = [
+        "exam", "experiments", "policies", "a", "names", "also", "quick", "protocol", "joints", "sensing", "results",
+    ])]
     pub curves: Vec<PathBuf>,
     /// Name and path of a further set, shown beside the two that are compared; may be repeated
     #[arg(long, value_name = "NAME=PATH[@C]", value_parser = name_and_path)]

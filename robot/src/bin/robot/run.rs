@@ -32,7 +32,7 @@ pub fn run(settings: &Settings) -> Result<()> {
     match &raw {
         Some(_) => {
             terminal::note(KEYS);
-            std::thread::spawn(move || keys(&sender));
+            std::thread::spawn(move || keys(std::io::stdin().lock(), &sender));
         }
         None => drop(std::thread::spawn(move || orders_of_stdin(std::io::stdin().lock(), &sender, &range))),
     }
@@ -57,7 +57,7 @@ pub fn run(settings: &Settings) -> Result<()> {
 /// Reads lines of JSON to their end; returns true if one of them was an order. A line that is not text is no order.
 fn lines(mut input: impl BufRead, sender: &Sender<Order>, range: &FullSticks) -> bool {
     let (mut has_ordered, mut bytes) = (false, Vec::new());
-    while input.read_until(b'\n', &mut bytes).is_ok_and(|length| length > 0) {
+    while (&mut input).take(LONGEST_LINE as u64).read_until(b'\n', &mut bytes).is_ok_and(|length| length > 0) {
         let line = String::from_utf8_lossy(&bytes);
         match Order::from_line(&line, range) {
             _ if line.trim().is_empty() => (),
@@ -82,7 +82,7 @@ fn orders_of_stdin(input: impl BufRead, sender: &Sender<Order>, range: &FullStic
 fn listen(socket: UdpSocket, sender: Sender<Order>, range: FullSticks) -> Result<()> {
     socket.set_read_timeout(Some(UDP_SILENCE / 5))?;
     std::thread::spawn(move || {
-        let (mut buffer, mut last_order): ([u8; 4096], Option<Instant>) = ([0; 4096], None);
+        let (mut buffer, mut last_order): ([u8; LONGEST_LINE], Option<Instant>) = ([0; LONGEST_LINE], None);
         loop {
             match socket.recv(&mut buffer) {
                 Ok(length) if lines(&buffer[..length], &sender, &range) => last_order = Some(Instant::now()),
@@ -98,12 +98,26 @@ fn listen(socket: UdpSocket, sender: Sender<Order>, range: FullSticks) -> Result
     Ok(())
 }
 
-fn keys(sender: &Sender<Order>) {
-    let keys = std::io::stdin().lock().bytes().map_while(Result::ok);
-    for order in keys.filter_map(Order::from_key) {
-        let _ = sender.send(order);
+/// Reads keys. An arrow or function key is no order: it sends ESC, `[` or `O`, and bytes up to a letter or `~`. Space counts even there.
+fn keys(input: impl BufRead, sender: &Sender<Order>) {
+    let (mut last, mut in_sequence) = (0, false);
+    for key in input.bytes().map_while(Result::ok) {
+        let begins = matches!((last, key), (ESCAPE, b'[' | b'O')) || (in_sequence && key == b'[');
+        if begins || (in_sequence && !matches!(key, b' ' | ESCAPE)) {
+            in_sequence = begins || !(b'@'..=b'~').contains(&key);
+        } else {
+            in_sequence = false;
+            let _ = Order::from_key(key).map(|order| sender.send(order));
+        }
+        last = key;
     }
 }
+
+/// First byte of keys that send several.
+const ESCAPE: u8 = 0x1B;
+
+/// Longest line of orders \[bytes\].
+const LONGEST_LINE: usize = 4096;
 
 /// Time after an order from UDP until the robot stops, if no other comes.
 const UDP_SILENCE: Duration = Duration::from_millis(500);
@@ -145,6 +159,16 @@ mod tests {
     use supple_robot::bridge::Wish;
 
     const RANGE: FullSticks = FullSticks([1.0, 0.5, 0.5]);
+
+    #[test]
+    fn arrows_and_function_keys_are_no_orders() {
+        let (sender, orders) = channel();
+        // Up, left (in both modes), F5, F1 of the console, Ctrl-up, Insert; then ESC alone, 1, w.
+        keys(&b"\x1B[A\x1BOD\x1B[15~\x1B[[A\x1B[1;5A\x1B[2~\x1B1w"[..], &sender);
+        assert_eq!(orders.try_iter().collect::<Vec<_>>(), [Order::Wish(Wish::Stand), Order::Change([0.1, 0.0, 0.0])]);
+        keys(&b"\x1B[1 "[..], &sender);
+        assert_eq!(orders.try_iter().collect::<Vec<_>>(), [Order::Wish(Wish::Damp)]);
+    }
 
     #[test]
     fn what_is_no_text_does_not_silence_the_orders_after_it() {
