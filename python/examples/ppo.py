@@ -59,7 +59,7 @@ actions, means = torch.zeros(STEPS, n, joints), torch.zeros(STEPS, n, joints)
 log_probs, rewards, values, dones = (torch.zeros(STEPS, n) for _ in range(4))
 seen = torch.from_numpy(env.reset(seed=args.seed)[0])
 curve = csv.writer(open(args.out / "curve.csv", "w", newline="", buffering=1))
-curve.writerow(["samples", "time_s", "step_reward", "r_lin", "episode_steps", "fall_rate", "command_fraction", "pushes"])
+curve.writerow(["samples", "time_s", "step_reward", "r_lin", "episode_steps", "fall_rate", "command_fraction", "pushes", "force_fraction"])
 started = time.perf_counter()
 
 for batch in range(args.samples // (STEPS * n)):

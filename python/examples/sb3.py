@@ -25,7 +25,7 @@ class Watch(BaseCallback):
     def __init__(self, path):
         super().__init__()
         self.rows = csv.writer(open(path, "w", newline="", buffering=1))
-        self.rows.writerow(["samples", "time_s", "step_reward", "r_lin", "command_fraction", "pushes"])
+        self.rows.writerow(["samples", "time_s", "step_reward", "r_lin", "command_fraction", "pushes", "force_fraction"])
         self.started = time.perf_counter()
 
     def _on_rollout_start(self):

@@ -38,8 +38,6 @@ pub(super) struct Overlay {
     foot_trails: [VecDeque<[f32; 3]>; 4],
     next_trunk_trail_s: f64,
     next_foot_trail_s: f64,
-    /// End of the push's arrow \[s\] and velocity of the push, world frame [m/s].
-    push: Option<(f64, [f64; 3])>,
     /// Names of the marks that are drawn and may vanish.
     drawn: BTreeSet<&'static str>,
     label_until_s: Option<f64>,
@@ -62,7 +60,6 @@ impl Overlay {
             foot_trails: Default::default(),
             next_trunk_trail_s: f64::NEG_INFINITY,
             next_foot_trail_s: f64::NEG_INFINITY,
-            push: None,
             drawn: BTreeSet::new(),
             label_until_s: None,
         };
@@ -218,12 +215,11 @@ impl Overlay {
     /// that starts there, with the force at its far end.
     fn log_disturbance(&mut self, stream: &Stream, frame: &Frame, trunk: [f32; 3]) -> Result<()> {
         let trunk = trunk.map(f64::from);
-        if let Some(DisturbanceMark::Push { velocity }) = frame.mark {
-            self.push = Some((frame.time_s + PUSH_SHOWN_S, velocity));
-        }
-        self.push.take_if(|(until, _)| frame.time_s > *until);
         let big = |arrow: Arrow| arrows(&[arrow], 0.012, VERMILLION);
-        let push = self.push.map(|(_, velocity)| big(marks::push(trunk, velocity)));
+        let push = match frame.mark {
+            Some(DisturbanceMark::Push { velocity }) => Some(big(marks::push(trunk, velocity))),
+            _ => None,
+        };
         self.draw(stream, "push", push, Arrows3D::clear_fields)?;
         let (rope, pull) = match frame.mark {
             Some(DisturbanceMark::Rope { force }) => {

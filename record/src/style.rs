@@ -35,8 +35,6 @@ pub(super) const BACKGROUND: Rgb = [38, 43, 50];
 pub(super) const METRES_PER_NEWTON: f64 = 1.0 / 300.0;
 /// Length of a push arrow [m per m/s].
 pub(super) const METRES_PER_PUSH: f64 = 0.5;
-/// Time for which a push stays visible \[s\].
-pub(super) const PUSH_SHOWN_S: f64 = 0.3;
 /// Time for which the label of an event stays visible \[s\]; that of a fall stays for good.
 pub(super) const LABEL_SHOWN_S: f64 = 1.2;
 /// Length of a rope between trunk and force arrow \[m\].

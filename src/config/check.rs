@@ -11,7 +11,7 @@ use crate::robot::JOINTS;
 use crate::util::yaml;
 
 /// Maximum physics rate \[Hz\]: a higher one gains nothing, and the latency would need a long queue.
-const MAX_PHYSICS_RATE_HZ: u32 = 20_000;
+pub const MAX_PHYSICS_RATE_HZ: u32 = 20_000;
 
 /// Longest stage of an episode \[s\].
 pub const MAX_STAGE_S: f64 = 3600.0;
@@ -123,10 +123,6 @@ pub fn within<T: PartialOrd + Display>(
     move |value, _| require(range.contains(value), value, format!("{} to {}{unit}", range.start(), range.end()))
 }
 
-pub fn fraction(value: &f64, _: &Config) -> garde::Result {
-    require((0.0..=1.0).contains(value), value, "0 to 1")
-}
-
 /// A value above zero and up to `most`.
 pub fn positive(most: f64) -> impl FnOnce(&f64, &Config) -> garde::Result {
     move |value, _| require(*value > 0.0 && *value <= most, value, format!("a positive number up to {most}"))
@@ -188,16 +184,13 @@ pub fn low_and_high(friction: &[f64; 2], _: &Config) -> garde::Result {
     require(valid, format!("{friction:?}"), "[low, high] with 0 < low <= high <= 100")
 }
 
-pub fn divides_batch(count: &usize, config: &Config) -> garde::Result {
-    let batch = config.ppo.batch_size;
-    let valid = *count > 0 && batch.is_multiple_of(*count);
-    require(valid, count, format!("a divisor of ppo.batch_size ({batch})"))
-}
-
-pub fn divides_batch_above_one(count: &usize, config: &Config) -> garde::Result {
-    let batch = config.ppo.batch_size;
-    let valid = *count > 1 && batch.is_multiple_of(*count);
-    require(valid, count, format!("a divisor of ppo.batch_size ({batch}) above 1"))
+/// A divisor of the batch of at least `least`.
+pub fn divides_batch(least: usize) -> impl FnOnce(&usize, &Config) -> garde::Result {
+    move |count, config| {
+        let batch = config.ppo.batch_size;
+        let valid = *count >= least && batch.is_multiple_of(*count);
+        require(valid, count, format!("a divisor of ppo.batch_size ({batch}) from {least} on"))
+    }
 }
 
 pub fn power_of_two_that_divides(shards: &usize, config: &Config) -> garde::Result {

@@ -28,6 +28,7 @@ latency and the policy's rate stay.
 
 use std::path::Path;
 
+use super::check::MAX_PHYSICS_RATE_HZ;
 use super::merge::robot_in;
 use super::{Config, PerJoint, Simulation};
 use crate::robot::{JOINTS, Joints, Robot, joint_name, least_inertia};
@@ -111,9 +112,6 @@ impl Config {
 /// with steps a quarter as long; beyond it, one of 1.7 kg takes 80 times as much. The margin is for other poses.
 const LARGEST_PART: f64 = 0.75;
 
-/// Fastest physics \[Hz\].
-const FASTEST_HZ: u32 = 20_000;
-
 impl Simulation {
     /// Doubles the physics rate until the gains are stable for joints of an inertia [kg·m²].
     fn hold_gains(&mut self, inertia: f64) -> Result<(), String> {
@@ -123,10 +121,10 @@ impl Simulation {
             (2.0 * kd * h + kp * h * h) / (4.0 * inertia)
         };
         while part(self).is_nan() || part(self) > LARGEST_PART {
-            if self.physics_rate_hz > FASTEST_HZ / 2 {
+            if self.physics_rate_hz > MAX_PHYSICS_RATE_HZ / 2 {
                 return Err(format!(
                     "the least inertia at its joints is {inertia:.1e} kg m², too little for K_p {} N m/rad and K_d {} \
-                     N m s/rad at {FASTEST_HZ} Hz: give its joints their rotors' armature",
+                     N m s/rad at {MAX_PHYSICS_RATE_HZ} Hz: give its joints their rotors' armature",
                     self.kp_n_m_per_rad, self.kd_n_m_s_per_rad
                 ));
             }

@@ -8,9 +8,8 @@ use serde::{Deserialize, Serialize};
 
 use super::check::{
     MAX_BATCH_SIZE, MAX_EPOCHS, MAX_SAMPLES, MAX_STAGE_S, a_step_to_an_hour, between_learning_rates, cost, delays,
-    divides_batch, divides_batch_above_one, finite_angles, fraction, gains_not_negative, layer_widths, low_and_high,
-    physics_rate, positive, power_of_two_that_divides, rising_to_one, shortest_and_longest, supported_precision,
-    within,
+    divides_batch, finite_angles, gains_not_negative, layer_widths, low_and_high, physics_rate, positive,
+    power_of_two_that_divides, rising_to_one, shortest_and_longest, supported_precision, within,
 };
 use super::{Config, LOG_STD_RANGE};
 use crate::robot::{JOINTS, Joints, Losses, Robot, same_in_every_leg};
@@ -184,13 +183,13 @@ pub struct CommandRange {
     #[garde(custom(within(0.0..=100.0, " rad/s")))]
     pub yaw_rad_s: f64,
     /// Fraction of the range that is open at first.
-    #[garde(custom(fraction))]
+    #[garde(custom(within(0.0..=1.0, "")))]
     pub initial_fraction: f64,
     /// Increase of the open fraction per iteration.
-    #[garde(custom(fraction))]
+    #[garde(custom(within(0.0..=1.0, "")))]
     pub fraction_step: f64,
     /// Mean `r_lin` above which the open fraction increases.
-    #[garde(custom(fraction))]
+    #[garde(custom(within(0.0..=1.0, "")))]
     pub fraction_gate: f64,
 }
 
@@ -212,7 +211,7 @@ pub struct Episode {
     #[garde(skip)]
     pub recovery_stage: bool,
     /// Mean `r_lin` of an iteration's walking stages above which episodes continue to the push, from then on.
-    #[garde(custom(fraction))]
+    #[garde(custom(within(0.0..=1.0, "")))]
     pub push_gate: f64,
     /// Samples before which no episode continues to the push, whatever `r_lin`: a gait gets calm while nothing disturbs it.
     #[serde(default)]
@@ -225,7 +224,7 @@ pub struct Episode {
     #[garde(custom(within(0.0..=100.0, " rad/s")))]
     pub push_rate_rad_s: f64,
     /// Steepest slope of the ground (rise over run).
-    #[garde(custom(fraction))]
+    #[garde(custom(within(0.0..=1.0, "")))]
     pub slope: f64,
     /// Base height below which the robot has fallen \[m\].
     #[garde(custom(within(0.0..=10.0, " m")))]
@@ -247,10 +246,10 @@ pub struct Pulls {
     #[garde(custom(shortest_and_longest))]
     pub gap_s: [f64; 2],
     /// Increase of the open fraction of `force_n` per iteration, starting at zero.
-    #[garde(custom(fraction))]
+    #[garde(custom(within(0.0..=1.0, "")))]
     pub fraction_step: f64,
     /// Mean `r_lin` above which that fraction increases.
-    #[garde(custom(fraction))]
+    #[garde(custom(within(0.0..=1.0, "")))]
     pub fraction_gate: f64,
     /// Upper ends of ranges of the force, as fractions of `force_n`, rising up to 1: each episode draws one of the ranges
     /// with equal probability, and the forces of its pulls from it. `[0, 0.2, 0.5, 1]` leaves a quarter of the episodes
@@ -272,7 +271,7 @@ pub struct HeldFeet {
     #[garde(custom(within(0.0..=1e5, " N")))]
     pub force_n: f64,
     /// Stiffness of the spring [N/m].
-    #[garde(custom(within(0.0..=2000.0, " N/m")))]
+    #[garde(custom(within(0.0..=20_000.0, " N/m")))]
     pub stiffness_n_per_m: f64,
     /// The lowest and the highest obstacle \[m\]: a foot is held only below its height.
     #[garde(custom(low_and_high))]
@@ -327,7 +326,7 @@ pub struct Reward {
     #[garde(custom(positive(10.0)))]
     pub base_height_m: f64,
     /// Desired peak height of a foot's swing, `p_des` \[m\].
-    #[garde(custom(positive(10.0)))]
+    #[garde(custom(within(0.001..=10.0, " m")))]
     pub foot_height_m: f64,
     /// The lowest and the highest compliance of a [reference](crate::task::compliance::follow), which is drawn for each episode,
     /// commanded to the policy, and followed by `r_lin` in place of the commanded velocity [m/s/N]. `None`: there is no reference.
@@ -362,7 +361,7 @@ pub struct Randomisation {
     pub trunk_offset_m: f64,
     /// Largest relative error of `K_p` and of `K_d`; 0.1 is ± 10 %.
     #[serde(default)]
-    #[garde(custom(fraction))]
+    #[garde(custom(within(0.0..=1.0, "")))]
     pub gain_error: f64,
     /// The shortest and the longest delay of the joint target \[s\], in place of `simulation.latency_s`.
     #[garde(inner(custom(delays)))]
@@ -402,7 +401,7 @@ pub struct Ppo {
     #[garde(custom(within(1..=MAX_BATCH_SIZE, "")))]
     pub batch_size: usize,
     /// Number of samples in a gradient step.
-    #[garde(custom(divides_batch_above_one))]
+    #[garde(custom(divides_batch(2)))]
     pub minibatch_size: usize,
     /// Passes over the batch.
     #[garde(custom(within(1..=MAX_EPOCHS, "")))]
@@ -433,10 +432,10 @@ pub struct Ppo {
     #[garde(inner(custom(within(0.0..=1e3, ""))))]
     pub final_entropy_coefficient: Option<f64>,
     /// Discount factor γ.
-    #[garde(custom(fraction))]
+    #[garde(custom(within(0.0..=1.0, "")))]
     pub discount: f64,
     /// λ of generalised advantage estimation.
-    #[garde(custom(fraction))]
+    #[garde(custom(within(0.0..=1.0, "")))]
     pub gae_lambda: f64,
     /// KL divergence that the adaptive learning rate aims at.
     #[garde(custom(positive(1e3)))]
@@ -448,7 +447,7 @@ pub struct Ppo {
     #[garde(custom(layer_widths))]
     pub hidden_layers: Vec<usize>,
     /// Parallel environments; divides the batch size.
-    #[garde(custom(divides_batch))]
+    #[garde(custom(divides_batch(1)))]
     pub environments: usize,
     /// Weight of the value loss.
     #[garde(custom(within(0.0..=1e6, "")))]
@@ -457,7 +456,7 @@ pub struct Ppo {
     #[garde(custom(positive(1e6)))]
     pub max_gradient_norm: f64,
     /// ε of Adam.
-    #[garde(custom(positive(1.0)))]
+    #[garde(custom(within(1e-12..=1.0, "")))]
     pub adam_epsilon: f64,
     /// Learning rate of the first gradient step.
     #[garde(custom(between_learning_rates))]
@@ -526,8 +525,8 @@ pub struct Run {
     /// without it.
     #[garde(inner(custom(within(1..=MAX_SAMPLES, ""))))]
     pub keep_policy_every: Option<u64>,
-    /// Policy from which the run starts: a file, a run's folder or a shipped one, or several of them, NAME-seedN, of which each
-    /// seed takes its own. It observes the same, and its network has the same layers. The curricula are complete then.
+    /// Policy from which the run starts: a file, a run's folder or a shipped one or several of them, NAME-seedN, of which each
+    /// seed takes its own, or the first if it has none. It observes the same, and its network has the same layers. The curricula are complete then.
     #[garde(skip)]
     pub start_from: Option<String>,
 }

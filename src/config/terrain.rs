@@ -3,7 +3,7 @@
 use garde::Validate;
 use serde::{Deserialize, Serialize};
 
-use super::check::{fraction, low_and_high, within};
+use super::check::{low_and_high, within};
 use super::{Config, ValueError};
 use crate::util::numbers::maximum;
 
@@ -27,7 +27,7 @@ const LONGEST_M: f64 = 4000.0 * SPACING_M;
 #[garde(context(Config))]
 pub struct Terrain {
     /// Fraction of the environments with uneven ground; the others have a plane.
-    #[garde(custom(fraction))]
+    #[garde(custom(within(0.0..=1.0, "")))]
     pub environments: f64,
     /// Number of levels.
     #[garde(custom(within(1..=20, "")))]
@@ -39,7 +39,7 @@ pub struct Terrain {
     #[garde(custom(low_and_high))]
     pub boxes_m: [f64; 2],
     /// Factor of `reward.tracking_sharpness` on uneven ground: below 1, tracking errors cost less there.
-    #[garde(custom(fraction))]
+    #[garde(custom(within(0.0..=1.0, "")))]
     pub sharpness_factor: f64,
 }
 

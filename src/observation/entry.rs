@@ -1,6 +1,6 @@
 //! An entry of an observation, as written in a file and checked.
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use super::quantity::Kind;
 use super::{LayoutError, Quantity};
@@ -29,7 +29,8 @@ pub struct Observed {
     pub offset: Option<Numbers>,
     /// Scale, applied after the offset; not zero \[1\].
     pub scale: Option<Numbers>,
-    /// Limit of the scaled value, ± `clip`; unlimited if missing.
+    /// Limit of the scaled value, ± `clip`; unlimited if missing or `.inf`.
+    #[serde(default, deserialize_with = "finite")]
     pub clip: Option<f64>,
     /// Frequency of the clocks \[Hz\].
     pub frequency_hz: Option<f64>,
@@ -259,6 +260,11 @@ pub(crate) fn numbers(key: &'static str, found: Option<&Numbers>, width: usize, 
         return Err(LayoutError::Value { key, found: format!("is {numbers:?}"), expected });
     }
     Ok(numbers)
+}
+
+/// Reads a limit. JSON has no infinity, so it is none.
+fn finite<'de, D: Deserializer<'de>>(from: D) -> std::result::Result<Option<f64>, D::Error> {
+    Ok(Option::deserialize(from)?.filter(|limit| *limit != f64::INFINITY))
 }
 
 /// Checks a limit; infinite if there is none.

@@ -293,14 +293,14 @@ impl RunFolder {
 /// # Errors
 /// The file cannot be read.
 pub fn metrics(path: &Path) -> Result<Vec<IterationMetrics>, FileError> {
-    let path = path.join(METRICS);
-    let file = File::open(&path).map_err(at(&path))?;
-    let lines = files::lines(BufReader::new(file), MAX_BYTES);
-    lines
-        .filter(|line| !matches!(line, Err(error) if error.kind() == io::ErrorKind::InvalidData))
-        .filter_map(|line| line.map(|line| serde_json::from_str(&line).ok()).transpose())
-        .collect::<io::Result<_>>()
-        .map_err(at(&path))
+    Ok(lines_of(&path.join(METRICS))?.iter().filter_map(|line| serde_json::from_str(line).ok()).collect())
+}
+
+/// Returns the lines of a file; one that is not text counts as missing.
+fn lines_of(file: &Path) -> Result<Vec<String>, FileError> {
+    let lines = files::lines(BufReader::new(File::open(file).map_err(at(file))?), MAX_BYTES);
+    let is_text = |line: &io::Result<String>| !matches!(line, Err(error) if error.kind() == io::ErrorKind::InvalidData);
+    lines.filter(is_text).collect::<io::Result<_>>().map_err(at(file))
 }
 
 fn at(path: &Path) -> impl Fn(io::Error) -> FileError + Copy {
@@ -424,15 +424,7 @@ fn metrics_up_to(path: &Path, checkpoint: &Checkpoint) -> Result<(Vec<u8>, Optio
         time: Option<Time>,
     }
     let file = path.join(METRICS);
-    let lines = match File::open(&file) {
-        Ok(open) => files::lines(BufReader::new(open), MAX_BYTES)
-            // A line that is not a metrics record counts as missing.
-            .filter(|line| !matches!(line, Err(error) if error.kind() == io::ErrorKind::InvalidData))
-            .collect::<io::Result<Vec<_>>>()
-            .map_err(at(&file))?,
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Vec::new(),
-        Err(error) => return Err(at(&file)(error).into()),
-    };
+    let lines = if file.try_exists().map_err(at(&file))? { lines_of(&file)? } else { Vec::new() };
     let run = &checkpoint.run;
     let (mut kept, mut next, mut missing) = (Vec::new(), 1, Vec::new());
     for text in &lines {

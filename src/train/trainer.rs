@@ -20,7 +20,7 @@ use crate::config::{Config, ValueError};
 use crate::mujoco;
 use crate::network::ActorCritic;
 use crate::observation::Layout;
-use crate::policy::{Policy, Provenance, shipped};
+use crate::policy::{AgentError, Policy, Provenance, shipped};
 use crate::ppo::{Learner, LearnerState, PrecisionError, Samples, UpdateFault, learner, resolved, weight_after};
 use crate::provenance;
 use crate::ranks::{Alone, RankError, Ranks, agree, sum_over_samples};
@@ -385,8 +385,11 @@ impl Trainer {
 
 /// Reads the policy from which a run of a seed starts: `NAME-seedN` if there is one, else `NAME`.
 fn started_from(name: &str, seed: u64, config: &Config, layout: &Layout) -> Result<Policy, TrainError> {
-    let of_seed = shipped::find_ours(&format!("{name}-seed{seed}"));
-    let policy = of_seed.or_else(|_| shipped::find_ours(name)).map_err(|error| TrainError::Start(error.to_string()))?;
+    let policy = match shipped::find_ours(&format!("{name}-seed{seed}")) {
+        Err(AgentError::Unknown { .. }) => shipped::find_ours(name),
+        of_seed => of_seed,
+    };
+    let policy = policy.map_err(|error| TrainError::Start(error.to_string()))?;
     let [found, wanted] = [&policy.provenance.config, config].map(|config| (&config.ppo.hidden_layers, &config.action));
     let differs = match () {
         () if policy.layout() != layout => "observation",

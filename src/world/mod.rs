@@ -136,6 +136,8 @@ impl World {
     /// MuJoCo fails in the starting state.
     pub fn restart(&mut self, conditions: Conditions, target: &Joints) -> Result<()> {
         self.sim.reset(conditions, target)?;
+        let time_s = self.time_s();
+        self.sim.data_mut().set_time_s(time_s);
         // The reset has cleared all forces; what still pulls begins anew.
         for it in &mut self.disturbances {
             if let Acting::Pull(_, memory) = it {
@@ -357,10 +359,14 @@ impl World {
     /// The state belongs to another model or is impossible, or MuJoCo fails in it.
     pub fn restore(&mut self, state: &WorldState) -> Result<()> {
         let last = LEGS.len() - 1;
-        if let Some(Acting::Hold(hold, _)) =
-            state.disturbances.iter().find(|it| matches!(it, Acting::Hold(hold, _) if hold.leg > last))
-        {
-            let message = format!("it holds the foot of leg {}, expected 0 to {last}", hold.leg);
+        let problem = state.disturbances.iter().find_map(|it| match it {
+            Acting::Hold(hold, _) if hold.leg > last => {
+                Some(format!("it holds the foot of leg {}, expected 0 to {last}", hold.leg))
+            }
+            Acting::Spring(..) | Acting::Rig(..) => Some("it has a leash or a rope, which are not saved".to_owned()),
+            _ => None,
+        });
+        if let Some(message) = problem {
             return Err(Error::Load { what: "a saved state".into(), message });
         }
         self.sim.restore(&state.sim)?;

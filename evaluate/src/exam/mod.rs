@@ -252,7 +252,10 @@ impl Exam {
         let [member] = &members[..] else {
             return Err(PolicySetError::Several(policy.to_owned(), members.len(), members[0].file.clone()));
         };
-        let folder = if member.agent.config.robot.model == "go2" { "go2/" } else { "" };
+        let model = member.agent.config.robot.model.as_str();
+        let folder = if model == "go2" { "go2/" } else { "" };
+        let foreign =
+            (!["go1", "go2"].contains(&model)).then(|| format!("{name} is for {model}, the others for a Go1"));
         let reference = |kind: &str| (format!("{folder}{kind}"), PathBuf::from(format!("{folder}{kind}-seed0")));
         let sets = [own, reference("compliant"), reference("baseline")];
         let mut with_losses = PolicySets::from_paths(&sets)?;
@@ -265,7 +268,7 @@ impl Exam {
             let members = nominal.members().map(|(set, member)| (set.name.clone(), member.agent.sha256.as_str()));
             ContactNetwork::shipped().ok()?.unfamiliar(members)
         };
-        let notes = nominal.notes.iter().cloned().chain(cannot_sense.or_else(of_gaits)).collect();
+        let notes = nominal.notes.iter().cloned().chain(foreign).chain(cannot_sense.or_else(of_gaits)).collect();
         let mut of_true_state = protocol.clone();
         of_true_state.walk.trials = 1;
         Ok(Exam { notes, protocol, of_true_state, nominal, with_losses, can_sense })

@@ -2,7 +2,7 @@
 
 use super::{Result, VideoError};
 use crate::marks::{self, Arrow};
-use crate::style::{BLUE, CAMERA_LAG_S, GREY, PURPLE, PUSH_SHOWN_S, Rgb, VERMILLION, YELLOW};
+use crate::style::{BLUE, CAMERA_LAG_S, GREY, PURPLE, Rgb, VERMILLION, YELLOW};
 use crate::{RobotView, geometry};
 use supple::mujoco::{Camera, Mark, MarkShape, Object, Renderer};
 use supple::scenario::trace::{DisturbanceMark, Frame, Pose, Trace};
@@ -56,7 +56,7 @@ impl<'a> View<'a> {
         }
         let poses: Vec<[f32; 7]> = frame.bodies.iter().map(Pose::row).collect();
         let mut marks = self.trail(past);
-        marks.extend(disturbance(past));
+        marks.extend(disturbance(frame));
         marks.extend(felt(frame));
         let camera = self.camera(time_s, frame);
         Ok(self.renderer.picture(&poses, &camera, &marks)?)
@@ -94,9 +94,8 @@ impl<'a> View<'a> {
     }
 }
 
-/// Returns the marks of pushes, pulls, obstacles and ropes in the last frame.
-fn disturbance(past: &[Frame]) -> Vec<Mark> {
-    let frame = &past[past.len() - 1];
+/// Returns the marks of pushes, pulls, obstacles and ropes in a frame.
+fn disturbance(frame: &Frame) -> Vec<Mark> {
     let trunk = frame.position;
     let mut marks = Vec::new();
     match frame.mark {
@@ -105,14 +104,9 @@ fn disturbance(past: &[Frame]) -> Vec<Mark> {
             marks.extend([rod(trunk, pull.0, 0.006, YELLOW), arrow(pull, 0.016, VERMILLION)]);
         }
         Some(DisturbanceMark::Press { force }) => marks.push(arrow(marks::press(trunk, force), 0.016, VERMILLION)),
-        _ => {}
+        Some(DisturbanceMark::Push { velocity }) => marks.push(arrow(marks::push(trunk, velocity), 0.016, VERMILLION)),
+        None => {}
     }
-    let is_recent = |earlier: &&Frame| earlier.time_s > frame.time_s - PUSH_SHOWN_S;
-    let push = past.iter().rev().take_while(is_recent).find_map(|earlier| match earlier.mark {
-        Some(DisturbanceMark::Push { velocity }) => Some(velocity),
-        _ => None,
-    });
-    marks.extend(push.map(|velocity| arrow(marks::push(trunk, velocity), 0.016, VERMILLION)));
     if let Some(rope) = &frame.rope {
         let colour = if rope.force_n > 0.0 { YELLOW } else { GREY };
         let piece = |ends: &[[f32; 3]]| rod(ends[0].map(f64::from), ends[1].map(f64::from), 0.005, colour);

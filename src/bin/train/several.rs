@@ -32,6 +32,7 @@ struct Planned {
 /// The arguments are wrong, or runs failed; all others are completed first.
 pub fn train_all(args: &Args, cores: usize, stop: &AtomicBool, training: &AtomicBool) -> anyhow::Result<()> {
     let planned = planned(args)?;
+    ensure!(!planned.is_empty(), "--vary names no variant");
     let at_once = args.at_once.map_or(cores, usize::from).min(planned.len());
     let threads = args.threads.map_or(cores / at_once, usize::from).max(1);
     let (bars, queue, failures) = (MultiProgress::new(), Mutex::new(planned.iter()), Mutex::new(Vec::new()));
@@ -67,18 +68,21 @@ pub fn train_all(args: &Args, cores: usize, stop: &AtomicBool, training: &Atomic
 /// Trains a run to its end, from its checkpoint if there is one. Returns how far it has come.
 fn train_one(run: &Planned, threads: usize, stop: &AtomicBool, bars: &MultiProgress) -> anyhow::Result<String> {
     let Planned { args, folder, name } = run;
+    let mut args = args.clone();
     let ranks = Alone::shared();
     let is_new = folder.symlink_metadata().is_err();
     if !is_new {
-        let total = configured(args, false)?.1.run.samples;
-        let policy = Policy::load(&folder.join("policy.safetensors"));
-        if let Some(samples) = policy.ok().map(|policy| policy.provenance.samples).filter(|samples| *samples >= total) {
-            return Ok(format!("has its {samples} samples already"));
+        let (_, config) = configured(&args, false)?;
+        args.samples = Some(config.run.samples);
+        let policy = Policy::load(&folder.join("policy.safetensors")).ok();
+        let done = policy.map(|policy| policy.provenance).filter(|it| it.samples >= config.run.samples);
+        if let Some(done) = done.filter(|it| it.config.check_same(&config.without_folder()).is_ok()) {
+            return Ok(format!("has its {} samples already", done.samples));
         }
     }
     let (mut trainer, mut opened) = match is_new {
-        true => start(args, threads, &AtomicBool::new(true), &ranks)?,
-        false => resume(folder, args, threads, &ranks)?,
+        true => start(&args, threads, &AtomicBool::new(true), &ranks)?,
+        false => resume(folder, &args, threads, &ranks)?,
     };
     let bar = bars.add(progress(trainer.run().config.run.samples)).with_prefix(format!("{name}: "));
     train(&mut trainer, &mut opened, stop, &bar)

@@ -143,8 +143,11 @@ fn new_trainer(args: &Args, threads: usize, ranks: &Arc<dyn Ranks>) -> anyhow::R
 /// Returns the number of shards of a new run on several ranks: that of the configuration, or enough for all ranks if it is 1, as in shipped
 /// ones, and not set on the command line.
 fn shards(configured: usize, changes: &[String], ranks: usize) -> usize {
-    let is_asked_for = changes.iter().any(|change| change.starts_with("ppo.shards="));
-    if configured != 1 || is_asked_for { configured } else { ranks.max(SHARDS).next_power_of_two() }
+    if may_be_raised(configured, changes) { ranks.max(SHARDS).next_power_of_two() } else { configured }
+}
+
+fn may_be_raised(shards: usize, changes: &[String]) -> bool {
+    shards == 1 && !changes.iter().any(|change| change.starts_with("ppo.shards="))
 }
 
 /// Checks that the machine has enough memory for a run, and warns if it may have too little.
@@ -201,13 +204,17 @@ fn read(path: &Path, args: &Args) -> anyhow::Result<(RunFolder, Checkpoint)> {
     notes.iter().for_each(|note| terminal::note(format_args!("warning: {note}")));
     if args.config.is_some() || args.is_one_of_several {
         let name = args.config.as_deref().unwrap_or(DEFAULT);
-        let (_, config) = configured(args, false)?;
+        let (_, mut config) = configured(args, false)?;
+        if may_be_raised(config.ppo.shards, &args.set) {
+            config.ppo.shards = checkpoint.run.config.ppo.shards;
+        }
         let differs =
             |keys| anyhow::anyhow!("{} was not begun with {name}: {keys}; start anew with --out", path.display());
         checkpoint.run.config.check_same(&config).map_err(differs)?;
     }
     let planned = &mut checkpoint.run.config.run.samples;
     *planned = args.samples.unwrap_or(*planned);
+    checkpoint.run.config.check()?;
     let begun_by = checkpoint.run.git_revision.clone();
     let revision = git_revision();
     if begun_by != revision {

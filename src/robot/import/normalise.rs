@@ -334,7 +334,7 @@ impl<'a> Survey<'a> {
             joint.set("limited", self.model.joint_is_limited(self.joints[index]));
         }
         joint.set("name", ours.map_or_else(|| "root".to_owned(), |index| format!("{}_joint", joint_name(index))));
-        joint.remove("springdamper");
+        joint.set("springdamper", "0 0");
         ["damping", "frictionloss", "stiffness"].iter().for_each(|name| joint.set(name, "0"));
     }
 
@@ -357,6 +357,10 @@ impl<'a> Survey<'a> {
         element.set("contype", contype);
         element.set("conaffinity", conaffinity);
         ["priority", "margin", "gap"].iter().for_each(|name| element.set(name, 0));
+        // MuJoCo's defaults, which hold on ground with patches of friction.
+        element.set("condim", 3);
+        let contact = [("friction", "1 0.005 0.0001"), ("solref", "0.02 1"), ("solimp", "0.9 0.95 0.001 0.5 2")];
+        contact.iter().for_each(|(name, value)| element.set(name, value));
         Ok(())
     }
 

@@ -49,12 +49,12 @@ impl Parameters for UnevenGround {
     fn prepare(&self, script: &mut Script, seed: u64) -> Result<(), ParameterError> {
         self.check_ranges()?;
         let way = [self.task.forward_m_s, self.task.left_m_s].map(|speed| speed.abs() * self.task.duration_s);
+        // A robot that turns may walk in any direction.
+        let way = if self.task.yaw_rad_s == 0.0 { way } else { [way[0].hypot(way[1]); 2] };
         if way[0].max(way[1]) > LONGEST_WAY_M {
             let (found, expected) = (self.task.duration_s.to_string(), "a way of at most 30 m at the command");
             return Err(ParameterError { name: "duration-s".into(), found, expected });
         }
-        // A robot that turns may walk in any direction.
-        let way = if self.task.yaw_rad_s == 0.0 { way } else { [way[0].hypot(way[1]); 2] };
         let half = [0, 1].map(|axis| LEAST_HALF_SIZE_M[axis].max(way[axis] + MARGIN_M));
         let field = match self.kind {
             TerrainKind::Perlin => terrain::perlin(half, self.height_m, self.frequency_per_m, seed),

@@ -160,7 +160,7 @@ impl Acting {
     /// The scene lacks a part of it.
     pub(super) fn new(what: Disturbance, sim: &Sim) -> Result<Self> {
         Ok(match what {
-            Disturbance::Push(push) => match push.pull(sim.robot().mass_kg) {
+            Disturbance::Push(push) => match push.pull(sim.robot().mass_kg, sim.policy_period_s()) {
                 Some(pull) => Acting::Pull(pull, pull::Memory::default()),
                 None => Acting::Push(push, false),
             },

@@ -26,10 +26,11 @@ fn instant(for_s: &f64) -> bool {
 }
 
 impl Push {
-    /// Returns the pull that gives a robot the same momentum; `None` for a push in an instant.
-    pub(super) fn pull(&self, mass_kg: f64) -> Option<Pull> {
-        let force = self.linear.map(|change| mass_kg * change / self.for_s);
-        let pull = Pull::constant([self.at_s, self.at_s + self.for_s], force);
+    /// Returns the pull that gives a robot the same momentum, in whole policy steps of `period_s` \[s\]; `None` for a push in an instant.
+    pub(super) fn pull(&self, mass_kg: f64, period_s: f64) -> Option<Pull> {
+        let for_s = period_s * (self.for_s / period_s).round().max(1.0);
+        let force = self.linear.map(|change| mass_kg * change / for_s);
+        let pull = Pull::constant([self.at_s, self.at_s + for_s], force);
         (self.for_s > 0.0).then_some(Pull { frame: PullFrame::Heading, ..pull })
     }
 
