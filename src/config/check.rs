@@ -189,7 +189,8 @@ pub fn divides_batch(least: usize) -> impl FnOnce(&usize, &Config) -> garde::Res
     move |count, config| {
         let batch = config.ppo.batch_size;
         let valid = *count >= least && batch.is_multiple_of(*count);
-        require(valid, count, format!("a divisor of ppo.batch_size ({batch}) from {least} on"))
+        let above = if least > 1 { " above 1" } else { "" };
+        require(valid, count, format!("a divisor of ppo.batch_size ({batch}){above}"))
     }
 }
 
