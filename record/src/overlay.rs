@@ -216,20 +216,17 @@ impl Overlay {
     fn log_disturbance(&mut self, stream: &Stream, frame: &Frame, trunk: [f32; 3]) -> Result<()> {
         let trunk = trunk.map(f64::from);
         let big = |arrow: Arrow| arrows(&[arrow], 0.012, VERMILLION);
-        let push = match frame.mark {
-            Some(DisturbanceMark::Push { velocity }) => Some(big(marks::push(trunk, velocity))),
-            _ => None,
-        };
-        self.draw(stream, "push", push, Arrows3D::clear_fields)?;
-        let (rope, pull) = match frame.mark {
+        let (push, rope, pull) = match frame.mark {
+            Some(DisturbanceMark::Push { velocity }) => (Some(big(marks::push(trunk, velocity))), None, None),
             Some(DisturbanceMark::Rope { force }) => {
                 let arrow = marks::pull(trunk, force, METRES_PER_NEWTON);
                 let ends = [trunk, arrow.0].map(|point| point.map(|x| x as f32));
-                (Some(lines([&ends], 0.005, YELLOW)), Some(big(arrow)))
+                (None, Some(lines([&ends], 0.005, YELLOW)), Some(big(arrow)))
             }
-            Some(DisturbanceMark::Press { force }) => (None, Some(big(marks::press(trunk, force)))),
-            _ => (None, None),
+            Some(DisturbanceMark::Press { force }) => (None, None, Some(big(marks::press(trunk, force)))),
+            None => (None, None, None),
         };
+        self.draw(stream, "push", push, Arrows3D::clear_fields)?;
         self.draw(stream, "rope", rope, LineStrips3D::clear_fields)?;
         self.draw(stream, "pull", pull, Arrows3D::clear_fields)
     }

@@ -203,7 +203,7 @@ impl Default for Memory {
 }
 
 /// Id of a joint in the model and the indices of its angle and rate.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy)]
 struct JointPlace {
     joint: usize,
     position: usize,
@@ -219,13 +219,12 @@ impl ForceObserver {
         let alone = r#"<mujoco><include file="robot.xml"/><compiler discardvisual="true"/></mujoco>"#;
         let mut model = Model::from_xml(&[("alone.xml", alone), ("robot.xml", robot.mjcf())])?;
         model.set_gravity([0.0; 3]);
-        let mut joints = [JointPlace::default(); JOINTS];
-        for (index, place) in joints.iter_mut().enumerate() {
-            let joint = model.id(Object::Joint, &format!("{}_joint", joint_name(index)))?;
+        let joints: [usize; JOINTS] = model.ids(Object::Joint, |k| format!("{}_joint", joint_name(k)))?;
+        let joints = joints.map(|joint| {
             model.set_losses(joint, robot.losses.friction_n_m, robot.losses.damping_n_m_s_per_rad);
             let (position, velocity) = (model.joint_position_index(joint), model.joint_velocity_index(joint));
-            *place = JointPlace { joint, position, velocity };
-        }
+            JointPlace { joint, position, velocity }
+        });
         let foot = |leg| FootSphere::new(&model, leg);
         let feet = [foot(0)?, foot(1)?, foot(2)?, foot(3)?];
         let root = model.id(Object::Joint, "root")?;

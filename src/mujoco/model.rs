@@ -372,6 +372,16 @@ impl Model {
         })
     }
 
+    /// Returns the ids of N elements, named by index.
+    ///
+    /// # Errors
+    /// The same as those of [`Model::id`].
+    pub fn ids<const N: usize>(&self, kind: Object, name: impl Fn(usize) -> String) -> Result<[usize; N]> {
+        let mut ids = [0; N];
+        ids.iter_mut().enumerate().try_for_each(|(index, id)| self.id(kind, &name(index)).map(|found| *id = found))?;
+        Ok(ids)
+    }
+
     /// Returns the name of an element; empty if it has none or does not exist.
     pub fn name(&self, kind: Object, id: usize) -> &str {
         // SAFETY: MuJoCo checks the id's range and returns null for elements without a name.

@@ -12,11 +12,8 @@ use crate::mujoco::{Data, Model, Object, Result};
 pub fn least_inertia(robot: &Robot, pose: &Joints) -> Result<f64> {
     let mut model = Model::from_xml(&[("robot.xml", robot.mjcf())])?;
     model.set_gravity([0.0; 3]);
-    let mut joints = [(0, 0); JOINTS];
-    for (index, joint) in joints.iter_mut().enumerate() {
-        let id = model.id(Object::Joint, &format!("{}_joint", joint_name(index)))?;
-        *joint = (model.joint_position_index(id), model.joint_velocity_index(id));
-    }
+    let joints: [usize; JOINTS] = model.ids(Object::Joint, |k| format!("{}_joint", joint_name(k)))?;
+    let joints = joints.map(|id| (model.joint_position_index(id), model.joint_velocity_index(id)));
     let freedoms = model.nv();
     let mut inertia = DMatrix::from_diagonal(&model.armature().to_vec().into());
     let mut data = Data::new(model)?;

@@ -237,13 +237,10 @@ impl Robot {
         let (fail, words) = (FileError::of(ROBOT, path), FileError::of(ROBOT, path));
         let model = Model::from_xml(&[("robot.xml", &mjcf)]).map_err(words)?;
         let trunk = model.id(Object::Body, "trunk").map_err(words)?;
-        let (mut joint_limits, mut torque_limits, mut places) = ([[0.0; 2]; JOINTS], [0.0; JOINTS], [0; JOINTS]);
-        for joint in 0..JOINTS {
-            let id = model.id(Object::Joint, &format!("{}_joint", joint_name(joint))).map_err(words)?;
-            (joint_limits[joint], places[joint]) = (limits(&model, id), model.joint_position_index(id));
-            let motor = model.id(Object::Actuator, &joint_name(joint)).map_err(words)?;
-            torque_limits[joint] = model.control_range(motor)[1];
-        }
+        let ids: [usize; JOINTS] = model.ids(Object::Joint, |k| format!("{}_joint", joint_name(k))).map_err(words)?;
+        let (joint_limits, places) = (ids.map(|id| limits(&model, id)), ids.map(|id| model.joint_position_index(id)));
+        let motors: [usize; JOINTS] = model.ids(Object::Actuator, joint_name).map_err(words)?;
+        let torque_limits = motors.map(|motor| model.control_range(motor)[1]);
         let stand = model.numeric("stand_qpos").map_err(words)?.to_vec();
         if stand.len() != model.nq() {
             return Err(fail(RobotError::Count { what: "stand_qpos", found: stand.len(), expected: model.nq() }));

@@ -35,9 +35,9 @@ impl Parts {
     pub fn new(model: &Model, robot: &Robot) -> Result<Self> {
         let trunk = model.id(Object::Body, "trunk")?;
         let root = model.id(Object::Joint, "root")?;
-        let joints = try_array(|k| model.id(Object::Joint, &format!("{}_joint", joint_name(k))))?;
-        let actuators = try_array(|k| model.id(Object::Actuator, &joint_name(k)))?;
-        let feet: [usize; 4] = try_array(|leg| model.id(Object::Geom, &format!("{}_foot", LEGS[leg])))?;
+        let joints: [usize; JOINTS] = model.ids(Object::Joint, |k| format!("{}_joint", joint_name(k)))?;
+        let actuators = model.ids(Object::Actuator, joint_name)?;
+        let feet: [usize; 4] = model.ids(Object::Geom, |leg| format!("{}_foot", LEGS[leg]))?;
         let sole = |leg| FootSphere::new(model, leg);
         let in_robot = |geom| model.is_below(model.geom_body(geom), trunk);
         let is_part: Vec<bool> = (0..model.count(Object::Geom)).map(in_robot).collect();
@@ -175,12 +175,4 @@ impl Parts {
             _ => None,
         })
     }
-}
-
-fn try_array<T: Copy + Default, const N: usize>(get: impl Fn(usize) -> Result<T>) -> Result<[T; N]> {
-    let mut array = [T::default(); N];
-    for (index, slot) in array.iter_mut().enumerate() {
-        *slot = get(index)?;
-    }
-    Ok(array)
 }

@@ -53,15 +53,17 @@ fn true_force_is_the_sum_of_what_acts() {
 
 #[test]
 fn shove_gives_the_momentum_of_its_push() {
-    let shove = Push { at_s: 0.1, linear: [0.3, -0.4], for_s: 0.1, ..Push::default() };
-    let (mut world, pose) = standing([Disturbance::Push(shove)]);
-    let forces: Vec<Vector3<f64>> = (0..24).map(|_| step(&mut world, &pose).forces.trunk).collect();
-    // From the sixth step on for six of them: 0.1 s at 60 Hz.
-    assert!(forces.iter().enumerate().all(|(index, force)| (force.norm() > 0.0) == (6..12).contains(&index)));
-    let impulse = forces.iter().sum::<Vector3<f64>>() / 60.0;
-    let expected = world.sim().robot().mass_kg * Vector3::new(0.3, -0.4, 0.0);
-    // Its direction is that of the heading, which the shove turns a little.
-    assert!((impulse - expected).norm() < 0.02 * expected.norm(), "{impulse:?}, expected {expected:?}");
+    // From the sixth step on, at 60 Hz; its time is rounded to whole steps.
+    for (for_s, steps) in [(0.1, 6), (0.01, 1), (0.02, 1)] {
+        let shove = Push { at_s: 0.1, linear: [0.3, -0.4], for_s, ..Push::default() };
+        let (mut world, pose) = standing([Disturbance::Push(shove)]);
+        let forces: Vec<Vector3<f64>> = (0..24).map(|_| step(&mut world, &pose).forces.trunk).collect();
+        assert!(forces.iter().enumerate().all(|(index, it)| (it.norm() > 0.0) == (6..6 + steps).contains(&index)));
+        let impulse = forces.iter().sum::<Vector3<f64>>() / 60.0;
+        let expected = world.sim().robot().mass_kg * Vector3::new(0.3, -0.4, 0.0);
+        // Its direction is that of the heading, which the shove turns a little.
+        assert!((impulse - expected).norm() < 0.02 * expected.norm(), "{impulse:?}, expected {expected:?}");
+    }
 }
 
 #[test]

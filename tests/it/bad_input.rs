@@ -96,6 +96,8 @@ fn a_run_is_one_thing() {
     let text = |name: &str| std::fs::read_to_string(at(name)).unwrap();
     let resume = ["--resume", "run", "--samples", "1024"];
     let (config, lines) = (text("run/config.yaml"), text("run/metrics.jsonl"));
+    let endless = ["--resume", "run", "--samples", "9999999999999999"];
+    refused("train", folder.path(), &endless, "run.samples is 9999999999999999");
 
     std::fs::write(at("run/config.yaml"), config.replacen("epochs: 2", "epochs: 3", 1)).unwrap();
     refused("train", folder.path(), &resume, "run/config.yaml was changed after the run began: ppo.epochs: 3 and 2");

@@ -60,6 +60,10 @@ fn what_acts_on_a_robot_is_left_out_with_a_word() {
     assert!(report.contains("line 4: gravcomp 0.5 of <body> left out"), "{report}");
     let report = Foreign { joint: "stiffness='7'", ..foreign() }.robot().report.join("\n");
     assert!(report.contains("joint springs: 7 N m/rad, set to 0"), "{report}");
+    let sections = "<default><joint springdamper='0.2 1'/><geom condim='6' solref='0.1 1'/></default>\n";
+    let robot = Foreign { sections, ..foreign() }.robot();
+    let count = |text: &str| robot.mjcf().matches(text).count();
+    assert!(count("springdamper=\"0 0\"") >= JOINTS && count("condim=\"3\"") >= LEGS.len());
 }
 
 #[test]

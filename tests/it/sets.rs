@@ -33,7 +33,7 @@ fn seeds_trained_together_are_the_runs_that_each_seed_gives() {
     let shown = run("policy", folder, &["show", "runs/small"]);
     assert!(shown.status.success() && String::from_utf8_lossy(&shown.stdout).contains("seed 0"), "{shown:?}");
     // Runs of another configuration are not gone on with.
-    let output = run("train", folder, &[&set[..], &["--samples", "1024", "--set", "ppo.epochs=1"]].concat());
+    let output = run("train", folder, &[&set[..], &["--samples", "768", "--set", "ppo.epochs=1"]].concat());
     let told = String::from_utf8_lossy(&output.stderr);
     assert!(!output.status.success() && told.contains("3 of 3 runs failed"), "{told}");
     assert!(told.contains("was not begun with small.yaml: ppo.epochs"), "{told}");
