@@ -92,15 +92,13 @@ pub struct Log {
 
 /// Returns the path of the older half of a log.
 pub fn older(path: &Path) -> PathBuf {
-    let mut name = path.as_os_str().to_owned();
-    name.push(".old");
-    name.into()
+    path.with_added_extension("old")
 }
 
 impl Log {
     /// Opens a log whose two files have at most `rows` rows each. An earlier log of this name stays as `NAME.1`, `NAME.2` and so on.
     pub fn create(path: &Path, rows: u64) -> io::Result<Self> {
-        let numbered = |number: u32| PathBuf::from(format!("{}.{number}", path.display()));
+        let numbered = |number: u32| path.with_added_extension(number.to_string());
         let is_free = |path: &PathBuf| !path.exists() && !older(path).exists();
         let kept = (1..).map(numbered).find(is_free).expect("there is no end of numbers");
         for (from, to) in [(path.to_owned(), kept.clone()), (older(path), older(&kept))] {
