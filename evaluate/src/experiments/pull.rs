@@ -45,6 +45,8 @@ impl Experiment for PullSurvival {
         section.claim(&text, "", "survived", Higher, &section.all());
         section.table_with_rows("Sustained pulls survived, by force: mean over all directions.", section.rows(&forces));
         section.table_in_file("all", "Sustained pulls survived, by force and direction.");
+        let title = "Sustained pulls survived while walking at 0.5 m/s, by force, over all directions";
+        section.grouped_dots("", title, &forces, &["survived"], "");
         let all = ConditionGroup::new("", section.all());
         section.polar(
             "directions",
