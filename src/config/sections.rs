@@ -525,8 +525,9 @@ pub struct Run {
     /// without it.
     #[garde(inner(custom(within(1..=MAX_SAMPLES, ""))))]
     pub keep_policy_every: Option<u64>,
-    /// Policy from which the run starts: a file, a run's folder or a shipped one or several of them, NAME-seedN, of which each
-    /// seed takes its own, or the first if it has none. It observes the same, and its network has the same layers. The curricula are complete then.
+    /// Policy from which the run starts: a file, a run's folder or a shipped one; or several, NAME-seedN, of which each seed takes
+    /// its own, or the first if it has none. It observes the same, and its network has the same layers. Commands, pushes and pulls
+    /// are complete then.
     #[garde(skip)]
     pub start_from: Option<String>,
 }
