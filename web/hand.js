@@ -54,6 +54,7 @@ export function listenToHand(picture, on) {
   canvas.addEventListener("pointermove", (event) => {
     const before = pointers.get(event.pointerId);
     if (!before) return;
+    if (!event.buttons) return end(event); // It was released where the page does not hear it, as in another tab.
     if (held) {
       // Both relative to the camera, which follows the robot: a pointer at rest keeps its force.
       const drag = place(held.index, event).sub(place(held.index, held.event));

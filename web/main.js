@@ -24,6 +24,7 @@ const [SLOW, FEW_HZ] = [0.97, 50];
 const $ = (id) => document.getElementById(id);
 const worker = new Worker("physics.js", { type: "module" });
 let [robots, picture] = [[], null];
+let wanted = null; // The robots that are on their way.
 let [paused, speed, rate, range] = [false, 1, null, [0, 0, 0]];
 
 const send = (name, value) => worker.postMessage([name, value]);
@@ -60,6 +61,7 @@ $("reset").onclick = () => send("reset");
 $("pause").onclick = pause;
 $("speed").onchange = () => {
   speed = Number($("speed").value);
+  $("speed").blur();
   clock();
 };
 
@@ -78,6 +80,7 @@ addEventListener("keydown", (event) => {
 
 /** Starts robots in the chosen scene. */
 function start(chosen) {
+  wanted = chosen;
   if (robots.length) hint("Loading …");
   $("story").textContent = PAIRS[$("pair").value][0];
   $("pair").blur();
@@ -86,6 +89,7 @@ function start(chosen) {
 }
 
 function started({ parts, about, version, scenes }) {
+  wanted = null;
   robots = about.map((one) => ({ ...one, falls: 0, reading: null }));
   range = [0, 1, 2].map((axis) => Math.min(...about.map((one) => one.range[axis])));
   if (!$("scene").length) $("scene").append(...scenes.map((name) => new Option(name, name)));
@@ -166,7 +170,7 @@ try {
   });
   const choose = () => start(PAIRS[$("pair").value][1]);
   $("pair").onchange = choose;
-  $("scene").onchange = () => start(robots);
+  $("scene").onchange = () => start(wanted ?? robots);
   choose();
   clock();
 } catch (problem) {

@@ -92,6 +92,14 @@ async function start({ robots, scene }) {
   });
   ACTS.clock({ at: performance.now(), due: 0 });
   answer("started", { parts, about, version: mujoco.mj_versionString(), scenes: Object.keys(SCENES) });
+  glance();
+}
+
+/** Shows what has changed while nothing is played: after one step. */
+function glance() {
+  if (!clock.paused || !players.length) return;
+  step();
+  show(performance.now());
 }
 
 /** Plays what is due in real time. */
@@ -155,8 +163,8 @@ const ACTS = {
   push: (size) => robots((robot) => (robot.coming = size)),
   pull: (force) => robots((robot) => (robot.pull = force && { force })),
   comply: ({ robot, compliance }) => (players[robot].robot.compliance = compliance),
-  stand: () => robots((robot) => robot.standUp()),
-  reset: () => robots((robot) => robot.restart()),
+  stand: () => (robots((robot) => robot.standUp()), glance()),
+  reset: () => (robots((robot) => robot.restart()), glance()),
   clock: (change) => Object.assign(clock, change, { since: performance.now(), played: 0, rate: null }),
 };
 

@@ -73,6 +73,7 @@ export class Picture {
   draw(time) {
     const passed_s = (time - this.last) / 1e3;
     this.last = time;
+    this.count(time); // First: a change of the size clears the picture.
     this.views.forEach((view, index) => {
       if (this.poses) view.show(this.poses[index]);
       if (!view.trunk) return;
@@ -82,7 +83,6 @@ export class Picture {
       this.renderer.render(view.scene, view.camera);
     });
     this.poses = null;
-    this.count(time);
   }
 
   countAnew() {

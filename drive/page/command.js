@@ -86,7 +86,9 @@ export function drag(svg, { start, move, end }) {
     event.preventDefault();
   });
   svg.addEventListener("pointermove", (event) => {
-    if (event.pointerId === pointer) move(...place(event));
+    if (event.pointerId !== pointer) return;
+    if (event.buttons) move(...place(event));
+    else finish(event); // It was released where the page does not hear it, as in another tab.
   });
   const finish = (event) => {
     if (event.pointerId !== pointer) return;

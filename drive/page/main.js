@@ -107,7 +107,10 @@ $("take").onclick = () => send("drive");
 $("reset").onclick = () => send("reset");
 $("pause").onclick = pause;
 $("next").onclick = () => send({ seed: null });
-$("speed").onchange = () => send({ speed: Number($("speed").value) });
+$("speed").onchange = () => {
+  send({ speed: Number($("speed").value) });
+  $("speed").blur();
+};
 $("scene").onchange = () => {
   send({ scene: $("scene").value });
   $("scene").blur();
@@ -116,7 +119,8 @@ $("minute").onclick = () => send({ keep: "minute" });
 $("all").onclick = () => send({ keep: "all" });
 
 addEventListener("keydown", (event) => {
-  if (event.target.closest?.("input, select, button") || event.repeat || event.ctrlKey || event.metaKey || event.altKey) return;
+  const busy = event.target.closest?.(event.code === "Space" ? "input, select, button" : "input, select");
+  if (busy || event.repeat || event.ctrlKey || event.metaKey || event.altKey) return;
   const action = { KeyR: () => send("reset"), KeyN: () => send({ seed: null }), Space: pause }[event.code];
   if (!action) return;
   event.preventDefault();

@@ -9,6 +9,8 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
+use supple::config::Config;
+use supple::estimate::contact::RATE_HZ;
 use supple::policy::compliance::{ComplianceError, split_compliance};
 use supple::policy::{Agent, AgentError, Provenance, shipped};
 use supple::robot::Losses;
@@ -190,12 +192,12 @@ impl PolicySets {
         if !keys.is_empty() {
             let keys = keys.join(", ");
             notes.push(format!("the policies were not trained alike: their configurations differ in {keys}"));
-            // Trials of a policy use its own values of these keys.
-            let affects_trials = |key: &&str| TRIAL_KEYS.iter().any(|known| key.starts_with(known));
-            let tried: Vec<&str> = keys.split(", ").filter(affects_trials).collect();
-            if !tried.is_empty() {
-                notes.push(format!("each policy is evaluated with its own {}", tried.join(", ")));
-            }
+        }
+        // Trials of a policy, also of an external one, use its own values of these keys.
+        let mut tried: Vec<String> = differing(policies.members().map(|(_, member)| &member.agent.config)).collect();
+        tried.retain(|key| TRIAL_KEYS.iter().any(|known| key.starts_with(known)));
+        if !tried.is_empty() {
+            notes.push(format!("each policy is evaluated with its own {}", tried.join(", ")));
         }
         PolicySets { notes, ..policies }
     }
@@ -208,10 +210,8 @@ impl PolicySets {
     /// Returns the keys in which the configurations of Supple's policies differ: except the recovery stage, which is compared, and the
     /// learner's arithmetic, which changes only rounding (`docs/training.md`).
     pub fn differing_keys(&self) -> BTreeSet<String> {
-        let mut configs = self.members().filter_map(|(_, member)| Some(&member.provenance()?.config));
-        let Some(first) = configs.next() else { return BTreeSet::new() };
-        let keys = configs.flat_map(|config| first.differences(config)).map(|(key, _)| key);
-        keys.filter(|key| !["episode.recovery_stage", "ppo.precision"].contains(&key.as_str())).collect()
+        let configs = self.members().filter_map(|(_, member)| Some(&member.provenance()?.config));
+        differing(configs).filter(|key| !["episode.recovery_stage", "ppo.precision"].contains(&key.as_str())).collect()
     }
 
     /// Sets the joint losses of all robots.
@@ -225,14 +225,9 @@ impl PolicySets {
         ));
     }
 
-    /// Returns the name of a policy: that of its set and, if this has several, its seed.
-    pub fn member_name(set: &PolicySet, member: &SetMember) -> String {
-        if set.members.len() == 1 { set.name.clone() } else { format!("{}-seed{}", set.name, member.seed) }
-    }
-
     /// Returns all policies with their sets.
     pub fn members(&self) -> impl Iterator<Item = (&PolicySet, &SetMember)> {
-        self.sets.iter().flat_map(|set| set.members.iter().map(move |member| (set, member)))
+        self.sets.iter().flat_map(PolicySet::with_members)
     }
 
     /// Returns the names of all sets.
@@ -264,6 +259,24 @@ impl SetMember {
 }
 
 impl PolicySet {
+    /// Returns the policies with the set.
+    pub fn with_members(&self) -> impl Iterator<Item = (&PolicySet, &SetMember)> {
+        self.members.iter().map(move |member| (self, member))
+    }
+
+    /// Returns the name of a policy: that of its set and, if this has several, its seed.
+    pub fn member_name(&self, member: &SetMember) -> String {
+        if self.members.len() == 1 { self.name.clone() } else { format!("{}-seed{}", self.name, member.seed) }
+    }
+
+    /// Returns why a robot cannot act on its sensors: its physics do not have the rate of the contact network; none if all can.
+    pub fn cannot_sense(sets: &[PolicySet]) -> Option<String> {
+        let rate_hz = |member: &SetMember| f64::from(member.agent.config.simulation.physics_rate_hz);
+        let mut members = sets.iter().flat_map(PolicySet::with_members);
+        let (PolicySet { name, .. }, member) = members.find(|(_, member)| rate_hz(member) != RATE_HZ)?;
+        Some(format!("the physics of {name} run at {} Hz, the contact network at {RATE_HZ} Hz", rate_hz(member)))
+    }
+
     /// Reads all policies of a path.
     fn from_path(name: &str, path: &Path) -> Result<Self, PolicySetError> {
         let text = path.display().to_string();
@@ -313,6 +326,13 @@ impl PolicySet {
         members.sort_by_key(|member| member.seed);
         Ok(PolicySet { name: name.to_owned(), members })
     }
+}
+
+/// Returns the keys in which configurations differ, in their order.
+fn differing<'a>(mut configs: impl Iterator<Item = &'a Config>) -> impl Iterator<Item = String> {
+    let first = configs.next();
+    let of = |config| first.into_iter().flat_map(move |first: &Config| first.differences(config));
+    configs.flat_map(of).map(|(key, _)| key).collect::<BTreeSet<String>>().into_iter()
 }
 
 /// Pairs sets of a single policy: gives their policies the seed of the first set's single policy. Returns notes about it.

@@ -153,7 +153,6 @@ mod tests {
             ("walk: {commands: []}", "walk is empty, expected at least one condition"),
             ("push_grid: {watch_s: -1}", "push_grid.watch_s is -1, expected 0.1 to 60 s"),
             ("leash: {for_s: 2, average_s: 5}", "leash.average_s is 5, expected 0.1 s to leash.for_s"),
-            ("table4: {window_s: 5}", "table4.window_s is 5, expected 0.1 s to the time before the push"),
             ("boxes: {trials: 0}", "unknown field `boxes`"),
             ("box: {trial: 0}", "unknown field `trial`"),
             ("box: {trials: many}", "invalid type"),

@@ -11,7 +11,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use super::measurement_store::{self, MeasurementStore};
-use super::policy_sets::{PolicySets, SetMember};
+use super::policy_sets::{PolicySet, SetMember};
 use super::results::{PolicyResult, Results};
 use super::trial::{self, Beginnings, Sample, TrialError};
 use super::{Condition, Experiment};
@@ -105,7 +105,7 @@ pub struct Job<'a> {
 /// A scenario file inside the program is invalid, which a test rules out.
 pub fn jobs<'a>(
     experiment: &'a dyn Experiment,
-    policies: &'a PolicySets,
+    sets: &'a [PolicySet],
     settings: &'a Settings,
     way: &str,
 ) -> Result<Vec<Job<'a>>, RunError> {
@@ -113,12 +113,12 @@ pub fn jobs<'a>(
     let cost_s = f64::from(info.trials) * conditions.iter().map(|c| c.scenario.cost()).sum::<f64>();
     let work = Work { trials: u64::from(info.trials) * conditions.len() as u64, cost_s };
     let mut jobs: Vec<Job> = Vec::new();
-    for (set, member) in policies.members() {
+    for (set, member) in sets.iter().flat_map(PolicySet::with_members) {
         let key = measurement_store::key(experiment, &conditions, member, settings.sensing);
         // A policy that two sets have is measured once.
         if !jobs.iter().any(|job| job.key == key) && (settings.again || settings.store.read(experiment, &key).is_none())
         {
-            let name = format!("{} {}{way}, {}", info.id, info.name, PolicySets::member_name(set, member));
+            let name = format!("{} {}{way}, {}", info.id, info.name, set.member_name(member));
             let conditions = conditions.clone();
             jobs.push(Job { name, work, experiment, conditions, member, settings, key });
         }
@@ -129,13 +129,13 @@ pub fn jobs<'a>(
 /// Returns the results of an experiment; none if some are not measured yet.
 pub(crate) fn finished(
     experiment: &dyn Experiment,
-    policies: &PolicySets,
+    policies: &[PolicySet],
     store: &MeasurementStore,
     sensing: Sensing,
 ) -> Result<Option<Measurement>, RunError> {
     let conditions = experiment.conditions()?;
     let (mut sets, mut wall_s, mut revisions) = (Vec::new(), 0.0, BTreeSet::new());
-    for set in &policies.sets {
+    for set in policies {
         let mut by_seed = BTreeMap::new();
         for member in &set.members {
             let key = measurement_store::key(experiment, &conditions, member, sensing);
@@ -146,7 +146,12 @@ pub(crate) fn finished(
         }
         sets.push(by_seed);
     }
-    let results = Results { names: policies.names(), conditions, quantities: experiment.info().quantities, sets };
+    let results = Results {
+        names: policies.iter().map(|set| set.name.clone()).collect(),
+        conditions,
+        quantities: experiment.info().quantities,
+        sets,
+    };
     Ok(Some(Measurement { results, wall_s, revisions }))
 }
 

@@ -5,7 +5,7 @@ use std::path::Path;
 use supple::scenario::Sensing;
 
 use crate::measurement_store::MeasurementStore;
-use crate::policy_sets::PolicySets;
+use crate::policy_sets::PolicySet;
 use crate::protocol::Protocol;
 use crate::report::{Report, Section};
 use crate::runner::{self, Measurement, ON_SENSORS, RunError, Settings};
@@ -13,25 +13,18 @@ use crate::runner::{self, Measurement, ON_SENSORS, RunError, Settings};
 /// Sets of policies and the experiments that they play.
 pub struct Study<'a> {
     protocol: &'a Protocol,
-    policies: &'a PolicySets,
-    compared: &'a PolicySets,
+    policies: &'a [PolicySet],
+    compared: &'a [PolicySet],
     on_state: Settings,
     on_sensors: Settings,
 }
 
 impl<'a> Study<'a> {
-    /// Creates a study that keeps its numbers in the folder `out`. `compared` are the two sets that E12 is about; `again`
-    /// repeats finished measurements.
-    pub fn new(
-        protocol: &'a Protocol,
-        policies: &'a PolicySets,
-        compared: &'a PolicySets,
-        out: &Path,
-        again: bool,
-    ) -> Self {
+    /// Creates a study that keeps its numbers in the folder `out`; `again` repeats finished measurements.
+    pub fn new(protocol: &'a Protocol, policies: &'a [PolicySet], out: &Path, again: bool) -> Self {
         let settings = |sensing| Settings { again, sensing, store: MeasurementStore::new(out) };
         let [on_state, on_sensors] = [Sensing::True, Sensing::Estimated].map(settings);
-        Study { protocol, policies, compared, on_state, on_sensors }
+        Study { protocol, policies, compared: &policies[..policies.len().min(2)], on_state, on_sensors }
     }
 
     /// Plays the named experiments, or all if none is named. With estimated sensing, the two compared sets also play them on

@@ -18,7 +18,7 @@ use supple_evaluate::protocol::Protocol;
 use supple_evaluate::report::{CommandLine, Report, summary};
 use supple_evaluate::runner::{self, RunError};
 use supple_evaluate::study::Study;
-use supple_evaluate::trial::{self, Beginnings, Sample, TrialEnd};
+use supple_evaluate::trial::{self, Beginnings, Sample};
 
 use crate::failure::{apart, failed, refused};
 use crate::policy::Policy;
@@ -73,12 +73,7 @@ pub fn evaluate<'py>(
         };
         let values = samples.iter().flat_map(|sample| sample.values.iter().map(|value| value.unwrap_or(f64::NAN)));
         let values = values.collect::<Vec<_>>().into_pyarray(py);
-        let ends = samples.iter().map(|sample| match sample.end {
-            TrialEnd::Upright => 0,
-            TrialEnd::Fell => 1,
-            TrialEnd::Fault => 2,
-            TrialEnd::OutOfReach => 3,
-        });
+        let ends = samples.iter().map(|sample| sample.end as i8); // Indices into `ENDS` of the Python half.
         measured.push((
             info.name,
             conditions.into_iter().map(|condition| condition.label).collect(),
@@ -114,8 +109,7 @@ pub fn compare(
     let protocol = self::protocol(protocol)?;
     check(&protocol, experiments.iter())?;
     let policies = PolicySets::from_paths(&sets).map_err(refused)?;
-    let compared = PolicySets::from_paths(&sets[..sets.len().min(2)]).map_err(refused)?;
-    let study = Study::new(&protocol, &policies, &compared, &out, false);
+    let study = Study::new(&protocol, &policies.sets, &out, false);
     let stop = AtomicBool::new(false);
     let progress = |_: runner::Update| {
         if stop.load(Ordering::Relaxed) { Err(RunError::Stopped) } else { Ok(()) }

@@ -8,7 +8,7 @@ use pyo3::types::PyDict;
 use supple::scenario::catalog::{DEFAULTS, ParameterError, Scenario, ScriptError};
 use supple::scenario::estimation::{Estimation, felt_forces};
 use supple::scenario::metrics::Metric;
-use supple::scenario::trace::{EventKind, Trace};
+use supple::scenario::trace::Trace;
 use supple::scenario::{Playback, Script, Sensing};
 
 use crate::failure::{apart, failed, refused};
@@ -21,7 +21,7 @@ const STEPS: usize = 60;
 /// Metrics: name, value and unit.
 type Numbers = Vec<(&'static str, Option<f64>, &'static str)>;
 /// Events: simulation time \[s\], kind and text.
-type Events = Vec<(f64, &'static str, String)>;
+type Events = Vec<(f64, String, String)>;
 
 /// Plays a scenario. Returns metrics, trace, events, and a warning if a disturbance would come after the end.
 #[pyfunction]
@@ -54,7 +54,8 @@ pub fn run_scenario<'py>(
         metrics.extend(Estimation::metrics(&trace));
     }
     let metrics = metrics.into_iter().map(|Metric { name, value, unit, .. }| (name, value, unit));
-    let events = trace.events.iter().map(|event| (event.time_s, kind(event.kind), event.text.clone()));
+    let events =
+        trace.events.iter().map(|event| (event.time_s, format!("{:?}", event.kind).to_lowercase(), event.text.clone()));
     Ok((metrics.collect(), trace::arrays(py, &trace)?, events.collect(), script.too_late()))
 }
 
@@ -100,16 +101,6 @@ fn unfit(error: ScriptError) -> PyErr {
             PyValueError::new_err(format!("{} is {found}, expected {expected}", name.replace('-', "_")))
         }
         other => refused(other),
-    }
-}
-
-/// Returns the kind as files spell it.
-fn kind(kind: EventKind) -> &'static str {
-    match kind {
-        EventKind::Disturbance => "disturbance",
-        EventKind::Fall => "fall",
-        EventKind::Success => "success",
-        EventKind::Fault => "fault",
     }
 }
 

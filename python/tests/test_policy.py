@@ -165,6 +165,8 @@ def test_learning_curves_are_arrays_by_seed(tmp_path):
         folder.mkdir()
         # The last line is cut off, as by a run that is at work.
         (folder / "metrics.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows[:count]) + '{"samples": 3')
+    (tmp_path / "mine-seed0-old").mkdir()
+    (tmp_path / "mine-seed0-old/metrics.jsonl").write_text(json.dumps(rows[0]) + "\n")
     curves = supple.learning_curves(tmp_path / "mine")
     assert list(curves) == [0, 10] and list(supple.learning_curves(tmp_path / "mine-seed10")) == [10]
     assert curves[0]["samples"].tolist() == [8192, 16384] and curves[0]["time.elapsed_s"].tolist() == [2.0, 4.0]
@@ -230,6 +232,8 @@ def test_what_there_is_not_is_refused_with_what_there_is():
         supple.run_scenario("walk", sensing="maybe")
     with pytest.raises(TypeError, match="expected a Policy, the name of one, or a function"):
         supple.run_scenario("walk", 3)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="compliant@0.02 commands a compliance, but no policy is played here"):
+        supple.Policy.load("compliant@0.02")(np.zeros(83))
     policy = supple.Policy.load("compliant")
     for observations, words in [
         (np.zeros((2, 5)), r"observations for compliant: .*\[83\] or \[n, 83\], found shape \[2, 5\]"),

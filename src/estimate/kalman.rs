@@ -165,21 +165,9 @@ impl KalmanFilter {
         Vector3::from_fn(|axis, _| self.axes[axis].state[index])
     }
 
-    /// Advances by a tick of `dt_s` \[s\] that ends now. `acceleration` is that of the IMU's site, world frame [m/s²];
-    /// `held` is true if it is an old reading; `feet` is `None` if the encoders were silent.
+    /// Advances by a tick of `dt_s` \[s\] that ends now. `ground` is the height under each foot \[m\]. `acceleration` is that of the
+    /// IMU's site, world frame [m/s²]; `held` is true if it is an old reading; `feet` is `None` if the encoders were silent.
     pub fn step(
-        &mut self,
-        acceleration: &Vector3<f64>,
-        held: bool,
-        feet: Option<&[FootMeasurement; 4]>,
-        contacts: [bool; 4],
-        dt_s: f64,
-    ) -> Fit {
-        self.step_over(&[0.0; 4], acceleration, held, feet, contacts, dt_s)
-    }
-
-    /// Like [`KalmanFilter::step`], with the height of the ground under each foot \[m\].
-    fn step_over(
         &mut self,
         ground: &[f64; 4],
         acceleration: &Vector3<f64>,

@@ -115,7 +115,7 @@ fn three_filters_row_by_row_are_the_filter_of_18_states_and_28_rows() {
     for tick in 0..500 {
         let (feet, acceleration) = (some_feet(&mut rng), normal(&mut rng));
         let contacts = if tick < 3 { ALL } else { std::array::from_fn(|_| rng.random_bool(0.6)) };
-        let fit = filter.step(&acceleration, false, Some(&feet), contacts, DT_S);
+        let fit = filter.step(&[0.0; 4], &acceleration, false, Some(&feet), contacts, DT_S);
         let squared = textbook.step(&noise, &acceleration, &feet, contacts);
         assert_eq!(fit.rows, 12 + 4 * contacts.iter().filter(|contact| **contact).count());
         assert!((fit.squared - squared).abs() < 1e-4 * squared, "{tick}: {} {squared}", fit.squared);
@@ -169,7 +169,7 @@ fn innovations(noise: FilterNoise, seed: u64) -> [f64; 2] {
             feet[leg].z - FOOT_RADIUS_M + noise.foot_height_m * rng.sample::<f64, _>(StandardNormal)
         });
         let filter = filter.get_or_insert_with(|| KalmanFilter::new(noise, &Vector3::zeros(), &measured, ALL));
-        let fit = filter.step_over(&ground, &acceleration, false, Some(&measured), ALL, DT_S);
+        let fit = filter.step(&ground, &acceleration, false, Some(&measured), ALL, DT_S);
         if tick >= 240 {
             squared += fit.squared;
             rows += fit.rows;

@@ -236,7 +236,7 @@ impl Filters {
         let acceleration = world_from_base * self.imu.specific_force - Vector3::new(0.0, 0.0, GRAVITY_M_S2);
         let rate = self.orientation.angular_velocity(&self.imu.gyro);
         let feet = encoders.map(|encoders| measure(robot, &rate, encoders, &world_from_base));
-        self.kalman.step(&acceleration, held, feet.as_ref(), contacts, dt_s);
+        self.kalman.step(&[0.0; 4], &acceleration, held, feet.as_ref(), contacts, dt_s);
         self.estimate = summarise(robot, &self.orientation, &self.kalman, &rate);
         Ok(())
     }

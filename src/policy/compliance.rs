@@ -4,6 +4,7 @@ The virtual mass of [`crate::task::compliance`] is put around the policy. The ca
 compliance for each commanded one that it supports.
 */
 
+use std::ffi::OsStr;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
@@ -91,8 +92,9 @@ pub fn split_compliance(name: &str) -> (&str, Option<f64>) {
 /// it was given.
 pub fn policy_label(asked: &str) -> String {
     let (file, _) = split_compliance(asked);
-    let stem = Path::new(file).file_stem().map(|stem| stem.to_string_lossy().into_owned());
-    stem.unwrap_or_else(|| file.to_owned()) + &asked[file.len()..]
+    // A folder's dots are no extension, as in `runs/rate-0.001-seed0`.
+    let stem = if Path::new(file).is_dir() { Path::file_name } else { Path::file_stem }(Path::new(file));
+    stem.map_or_else(|| file.into(), OsStr::to_string_lossy).into_owned() + &asked[file.len()..]
 }
 
 /// Name of the file type in error messages.
@@ -279,6 +281,7 @@ mod tests {
             ("policies/baseline-seed0.safetensors", "baseline-seed0"),
             ("baseline@0.03", "baseline@0.03"),
             ("policies/mine.yaml@0.03", "mine@0.03"),
+            ("tests/../src", "src"),
         ] {
             assert_eq!(policy_label(asked), label);
         }

@@ -123,19 +123,25 @@ def check_hands(page, pictures):
     page.wait(f"state.robots.every(({{ reading }}) => {pulled})")
     page.wait("state.robots[0].reading.pull.gives_m_s > state.robots[1].reading.pull.gives_m_s + 0.1")
     keep(page, pictures, "during")
-    page.mouse(("mouseReleased", drag[-1][1]))
+    # The mouse comes back with no button pressed: it was released in another tab.
+    x, y = drag[-1][1]
+    page.call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y, button="none", buttons=0)
     page.wait("state.robots.every(({ reading }) => reading.pull === null)")
     page.value("document.querySelector('#reset').click()")
     time.sleep(1)  # The camera follows.
     # The flick is made in the page: over the pipe, events may come too late.
     flick = f"""(() => {{ const canvas = document.querySelector("#robots canvas"), [x, clientY] = {ROBOT}; canvas.setPointerCapture = () => 0;
         for (const [kind, clientX] of [["down", x], ["move", x - 150], ["up", x - 150]])
-          canvas.dispatchEvent(new PointerEvent("pointer" + kind, {{ pointerId: 9, clientX, clientY, bubbles: true }})); }})()"""
+          canvas.dispatchEvent(new PointerEvent("pointer" + kind, {{ pointerId: 9, buttons: 1, clientX, clientY, bubbles: true }})); }})()"""
     page.value(flick)
     page.wait("state.robots.every(({ reading }) => reading?.push?.carried_m > 0.01)")
     page.key("KeyW", True)
     page.wait("state.robots.every(({ reading }) => reading.command[0] > 0.5 && reading.velocity[0] > 0.3)")
     page.key("KeyW", False)
+    # While paused, a reset is seen.
+    page.value("(() => { for (const id of ['pause', 'reset']) document.getElementById(id).click(); state.poses = null; })()")
+    page.wait("state.poses")
+    page.value("document.querySelector('#pause').click()")
     for scene in ["ball pit", "blocks"]:
         choose = f"const list = document.querySelector('#scene'); list.value = '{scene}'; list.onchange()"
         page.value(f"(() => {{ state.robots[0].reading = null; {choose}; }})()")

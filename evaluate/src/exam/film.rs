@@ -4,7 +4,7 @@ use resvg::tiny_skia::{ColorU8, Pixmap};
 
 use super::{DISCIPLINES, Exam, Part};
 use crate::measurement_store::MeasurementStore;
-use crate::runner::{self, RunError};
+use crate::runner::RunError;
 use crate::trial::{self, TrialEnd, TrialError};
 use supple::mujoco::{self, Camera, Renderer};
 use supple::scenario::Playback;
@@ -56,11 +56,8 @@ impl Exam {
     pub fn first_fall(&self, store: &MeasurementStore) -> Result<Option<Film>, FilmError> {
         let mut worst: Option<(f64, Part<'_>, [usize; 2])> = None;
         for (name, way, _) in DISCIPLINES.iter().flat_map(|discipline| self.playable(discipline)) {
-            let part = self.part(name, *way);
-            let measured = runner::finished(part.experiment, part.policies, store, part.sensing)?;
-            let Some(policy) = measured.as_ref().and_then(|found| found.results.sets[0].values().next()) else {
-                continue;
-            };
+            let results = self.part(name, *way).results(store)?;
+            let Some(policy) = results.as_ref().and_then(|results| results.sets[0].values().next()) else { continue };
             for (condition, samples) in policy.iter().enumerate() {
                 let fell = |sample: &&trial::Sample| sample.end == TrialEnd::Fell;
                 let Some(trial) = samples.iter().position(|sample| fell(&sample)) else { continue };
@@ -78,7 +75,7 @@ impl Exam {
 fn draw(part: &Part<'_>, [index, trial]: [usize; 2]) -> Result<Film, FilmError> {
     let Part { experiment, policies, sensing, .. } = *part;
     let (info, condition) = (experiment.info(), &experiment.conditions().map_err(RunError::from)?[index]);
-    let member = &policies.sets[0].members[0];
+    let member = &policies[0].members[0];
     let seed = trial::trial_seed(member.seed, info.number, index, trial as u32);
     let (_, mut script) = trial::setup(condition, seed, &member.agent)?.ok_or(FilmError::NoFall)?;
     script.after_fall_s = AFTER_FALL_S;

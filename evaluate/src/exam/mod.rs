@@ -11,20 +11,20 @@ pub mod film;
 pub mod measures;
 pub mod page;
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
 use crate::measurement_store::MeasurementStore;
-use crate::policy_sets::{PolicySet, PolicySetError, PolicySets, SetMember, Training};
+use crate::policy_sets::{PolicySet, PolicySetError, PolicySets, Training};
 use crate::protocol::Protocol;
 use crate::results::{PolicyResult, Results};
-use crate::runner::{self, Measurement, ON_SENSORS, RunError};
+use crate::runner::{self, ON_SENSORS, RunError};
 use crate::trial::{Sample, TrialEnd};
 use crate::{Condition, Experiment};
 use measures::{MEASURES, Measured};
-use supple::estimate::contact::{ContactNetwork, RATE_HZ};
+use supple::estimate::contact::ContactNetwork;
 use supple::robot::JointLosses;
 use supple::scenario::Sensing;
 use supple::scenario::catalog::Scenario;
@@ -100,7 +100,7 @@ const SUCCESS: Pass = Is("success");
 pub const DISCIPLINES: &[Discipline] = &[
     Discipline {
         name: "tracking",
-        description: "16 commands, and 0.5 m/s with 5 kg on the trunk: velocity error of at most 0.1 m/s, no fall",
+        description: "16 commands, and 0.5 m/s with 5 kg on the trunk: velocity error of at most 0.1 m/s, no fall; turning is not judged",
         parts: &[("walk", Nominal, Tracks)],
     },
     Discipline {
@@ -130,7 +130,7 @@ pub const DISCIPLINES: &[Discipline] = &[
     },
     Discipline {
         name: "joint losses",
-        description: "tracking, pushes and obstacles with realistic friction and damping in the joints",
+        description: "tracking, many more pushes and loose blocks with realistic friction and damping in the joints",
         parts: &[("walk", Losses, Tracks), ("push-grid", Losses, SUCCESS), ("rubble", Losses, CROSSED)],
     },
     Discipline {
@@ -199,6 +199,8 @@ pub struct Grade {
 pub struct Examination {
     /// The names of the policies: the examined one first.
     pub names: Vec<String>,
+    /// The command line that repeats the examination.
+    pub command: String,
     /// The robot of the examined policy.
     pub robot: String,
     /// How the policies were trained.
@@ -218,11 +220,18 @@ pub struct Part<'a> {
     /// The experiment.
     pub experiment: &'a dyn Experiment,
     /// The policies, the examined one first.
-    pub policies: &'a PolicySets,
+    pub policies: &'a [PolicySet],
     /// The state that the policies act on.
     pub sensing: Sensing,
     /// How the robots are played, for the names of jobs; empty on the true state.
     pub way: &'static str,
+}
+
+impl Part<'_> {
+    /// Returns the results; none if some are not measured yet.
+    fn results(&self, store: &MeasurementStore) -> Result<Option<Results>, RunError> {
+        Ok(runner::finished(self.experiment, self.policies, store, self.sensing)?.map(|found| found.results))
+    }
 }
 
 /// An examination: the policies and the protocol.
@@ -261,7 +270,8 @@ impl Exam {
         let mut with_losses = PolicySets::from_paths(&sets)?;
         with_losses.set_losses(JointLosses::Realistic.into());
         let nominal = PolicySets::from_paths(&sets)?;
-        let cannot_sense = cannot_sense(&nominal);
+        let cannot_sense =
+            PolicySet::cannot_sense(&nominal.sets).map(|rates| format!("no policy is graded on sensors: {rates}"));
         let can_sense = cannot_sense.is_none();
         let of_gaits = || {
             // Without a network the trials on sensors fail, with the reason.
@@ -294,7 +304,7 @@ impl Exam {
         let experiment = protocol.experiments().into_iter().find(|experiment| experiment.info().name == name);
         // A test grades every discipline.
         let experiment = experiment.unwrap_or_else(|| panic!("no experiment {name}"));
-        let policies = if way == Losses { &self.with_losses } else { &self.nominal };
+        let policies = if way == Losses { &self.with_losses.sets } else { &self.nominal.sets };
         let (sensing, way) = match way {
             Nominal => (Sensing::True, ""),
             Sensors => (Sensing::Estimated, ON_SENSORS),
@@ -303,46 +313,39 @@ impl Exam {
         Part { experiment, policies, sensing, way }
     }
 
-    /// Grades all policies from the kept measurements; a discipline that was not measured has no trials.
+    /// Grades all policies from the kept measurements; a discipline that was not measured has no trials. `command` is the command
+    /// line that repeats the examination.
     ///
     /// # Errors
     /// A scenario file inside the program is invalid, which a test rules out.
-    pub fn grade(&self, store: &MeasurementStore) -> Result<Examination, RunError> {
+    pub fn grade(&self, store: &MeasurementStore, command: String) -> Result<Examination, RunError> {
         let names = self.nominal.names();
-        let (mut grades, mut faults) = (Vec::new(), BTreeSet::new());
+        let mut grades = Vec::new();
         for discipline in DISCIPLINES {
             let mut scores = vec![Score::default(); names.len()];
             for (name, way, pass) in self.playable(discipline) {
-                let Part { experiment, policies, sensing, .. } = self.part(name, *way);
-                let Some(Measurement { results, .. }) = runner::finished(experiment, policies, store, sensing)? else {
-                    continue;
-                };
+                let Some(results) = self.part(name, *way).results(store)? else { continue };
                 for (set, score) in scores.iter_mut().enumerate() {
                     score.add(&results, set, *pass);
-                    faults.extend(results.faults(set).map(|fault| format!("{}, {name}: {fault}", discipline.name)));
                 }
             }
             grades.push(Grade { discipline: discipline.name, scores });
         }
         let mut measures = Vec::new();
         for measure in MEASURES {
-            let Part { experiment, policies, sensing, .. } = self.part(measure.experiment, Nominal);
-            let found = runner::finished(experiment, policies, store, sensing)?;
-            measures.extend(found.map(|Measurement { results, .. }| measure.means(&results)));
+            let found = self.part(measure.experiment, Nominal).results(store)?;
+            measures.extend(found.map(|results| measure.means(&results)));
+        }
+        let mut faults = Vec::new();
+        for part in self.parts() {
+            let Some(results) = part.results(store)? else { continue };
+            let of_set = |set| Some(format!("{}{}: {}", part.experiment.info().name, part.way, results.faults(set)?));
+            faults.extend((0..names.len()).filter_map(of_set));
         }
         let (training, notes) = (self.nominal.training(), self.notes.clone());
-        let robot =
-            self.nominal.members().next().map_or_else(String::new, |(_, it)| it.agent.config.robot.model.clone());
-        Ok(Examination { names, robot, training, grades, measures, notes, faults: faults.into_iter().collect() })
+        let robot = self.nominal.sets[0].members[0].agent.config.robot.model.clone();
+        Ok(Examination { names, command, robot, training, grades, measures, notes, faults })
     }
-}
-
-/// Returns a note that names a policy whose robot cannot act on its sensors; none if all can.
-fn cannot_sense(policies: &PolicySets) -> Option<String> {
-    let rate_hz = |member: &SetMember| f64::from(member.agent.config.simulation.physics_rate_hz);
-    let (PolicySet { name, .. }, member) = policies.members().find(|(_, member)| rate_hz(member) != RATE_HZ)?;
-    let rates = format!("the physics of {name} run at {} Hz, the contact network at {RATE_HZ} Hz", rate_hz(member));
-    Some(format!("no policy is graded on sensors: {rates}"))
 }
 
 #[cfg(test)]
@@ -426,7 +429,7 @@ mod tests {
         let exam = Exam::new("mine", &policy, Protocol::exam(None).unwrap()).unwrap();
         let parts = exam.parts();
         assert!(parts.len() == 16 && parts.iter().all(|part| part.sensing == Sensing::True));
-        let examination = exam.grade(&MeasurementStore::new(folder.path())).unwrap();
+        let examination = exam.grade(&MeasurementStore::new(folder.path()), String::new()).unwrap();
         let words = "no policy is graded on sensors: the physics of mine run at 200 Hz, the contact network at 240 Hz";
         assert!(examination.notes.iter().any(|note| note == words), "{:?}", examination.notes);
         assert_eq!((page::score_text(examination.grades[5].scores[0]), examination.faults), ("–".to_owned(), vec![]));

@@ -20,12 +20,11 @@ const BAR: f64 = 13.0;
 /// The place of 0 and the width of 100 % in the figure \[px\].
 const SCALE: [f64; 2] = [150.0, 500.0];
 
-/// Writes `exam.html`, `exam.svg`, `exam.png`, `exam.json` and, if there is a film, `fall.png` into a folder. `command` is the command
-/// line that repeats the examination.
+/// Writes `exam.html`, `exam.svg`, `exam.png`, `exam.json` and, if there is a film, `fall.png` into a folder.
 ///
 /// # Errors
 /// A file cannot be written, or the figure cannot be rendered.
-pub fn save(examination: &Examination, film: Option<&Film>, command: &str, folder: &Path) -> Result<(), ReportError> {
+pub fn save(examination: &Examination, film: Option<&Film>, folder: &Path) -> Result<(), ReportError> {
     let figure = Figure { name: "exam".into(), caption: String::new(), svg: figure(examination) };
     // Plain numbers and texts.
     let json = serde_json::to_string_pretty(examination).unwrap_or_default() + "\n";
@@ -37,7 +36,7 @@ pub fn save(examination: &Examination, film: Option<&Film>, command: &str, folde
         // A film that an earlier examination left shows another policy.
         None => drop(std::fs::remove_file(fall)),
     }
-    write(&folder.join("exam.html"), page(examination, film, &figure.svg, command).as_bytes())
+    write(&folder.join("exam.html"), page(examination, film, &figure.svg).as_bytes())
 }
 
 /// Returns a score in percent with its interval.
@@ -75,7 +74,7 @@ pub fn text(examination: &Examination, width: usize) -> String {
     plain_text::table(&rows, width)
 }
 
-fn page(examination: &Examination, film: Option<&Film>, figure: &str, command: &str) -> String {
+fn page(examination: &Examination, film: Option<&Film>, figure: &str) -> String {
     let title = format!("Examination of {}", examination.names[0]);
     let content = html! {
         (sets_table(&examination.training))
@@ -99,7 +98,7 @@ fn page(examination: &Examination, film: Option<&Film>, figure: &str, command: &
                 figcaption { (film.caption) }
             }
         }
-        dl { dt { "Command" } dd { code { (command) } } }
+        dl { dt { "Command" } dd { code { (examination.command) } } }
     };
     styled(&title, &content)
 }

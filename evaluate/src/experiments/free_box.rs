@@ -24,29 +24,29 @@ const QUANTITIES: &[Quantity] = &[
 /// The number of policy steps between the kept points of a path.
 const PATH_STEPS: usize = 6;
 
+/// A robot is back on its course if its mean velocity over this time at the end \[s\] is this close to the command \[m/s\].
+const RESUMED_S: f64 = 1.0;
+const RESUMED_M_S: f64 = 0.1;
+
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FreeBox {
     pub trials: u32,
     /// The sliding friction coefficients of the box.
     pub frictions: Vec<f64>,
-    /// The time at the end of a trial over which a robot must be back on its course \[s\].
-    pub resumed_s: f64,
-    /// The largest distance of the mean velocity over that time from the command \[m/s\].
-    pub resumed_m_s: f64,
 }
 
 impl FreeBox {
     /// Returns true if the robot ends up walking at its command in the direction in which it started.
-    fn has_resumed(&self, script: &Script, trace: &Trace) -> bool {
-        let frames = metrics::window(trace, script.duration_s - self.resumed_s, script.duration_s);
+    fn has_resumed(script: &Script, trace: &Trace) -> bool {
+        let frames = metrics::window(trace, script.duration_s - RESUMED_S, script.duration_s);
         let velocity = |frame: &Frame| {
             let [forward, left, _] = frame.velocity_in_heading;
             metrics::in_world([forward, left], frame.roll_pitch_yaw[2])
         };
         let mean = |axis: usize| metrics::mean(frames.clone(), |frame| velocity(frame)[axis]);
         let command = script.command;
-        let is_near = |(ahead, left)| f64::hypot(ahead - command.forward, left - command.left) < self.resumed_m_s;
+        let is_near = |(ahead, left)| f64::hypot(ahead - command.forward, left - command.left) < RESUMED_M_S;
         mean(0).zip(mean(1)).is_some_and(is_near)
     }
 
@@ -112,10 +112,6 @@ impl Experiment for FreeBox {
         }))
     }
 
-    fn check(&self) -> Result<(), ParameterError> {
-        in_range("resumed_s", self.resumed_s, 0.1, 60.0, "0.1 to 60 s")
-    }
-
     fn measure(&self, trial: &Trial) -> TrialValues {
         let trace = trial.trace;
         let passed = trial.upright_metric("passed") == Some(1.0);
@@ -124,7 +120,7 @@ impl Experiment for FreeBox {
         let of_met = |quantity: &Quantity| trial.upright_metric(quantity.name).filter(|_| was_met);
         let sideways = trace.frames.last().map(|frame| frame.position[1].abs()).filter(|_| trial.is_upright());
         let mut values: Vec<Option<f64>> = QUANTITIES[..5].iter().map(of_met).collect();
-        let resumed = passed && self.has_resumed(trial.script, trace);
+        let resumed = passed && Self::has_resumed(trial.script, trace);
         values.extend([indicator(passed), indicator(resumed), sideways, trial.end.fell()]);
 
         let path = |axis: usize| trace.frames.iter().step_by(PATH_STEPS).map(|f| f.position[axis] as f32).collect();

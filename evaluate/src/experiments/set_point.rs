@@ -10,17 +10,19 @@ const QUANTITIES: &[Quantity] = &[
     FELL,
 ];
 
+/// The rate κ of the set point \[1/s\]; the pull \[N\], its beginning, duration and the averaged time before its end \[s\].
+const SET_POINT_PER_S: f64 = 1.0;
+const FORCE_N: f64 = 10.0;
+const AT_S: f64 = 2.0;
+const FOR_S: f64 = 6.0;
+const AVERAGE_S: f64 = 2.0;
+
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SetPoint {
     pub compliances: Vec<f64>,
-    pub set_point_per_s: f64,
-    pub force_n: f64,
     pub directions: u32,
     pub trials: u32,
-    pub at_s: f64,
-    pub for_s: f64,
-    pub average_s: f64,
 }
 
 impl Experiment for SetPoint {
@@ -39,19 +41,19 @@ impl Experiment for SetPoint {
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let base: Leash = defaults("leash")?;
         Ok(conditions(pairs(&self.compliances, &evenly(self.directions)), |(compliance, direction_deg)| {
-            let duration_s = self.at_s + 2.0 * self.for_s;
-            let task = Task { forward_m_s: 0.0, duration_s, compliance: Some(compliance), ..base.task.clone() };
-            let SetPoint { set_point_per_s, force_n, at_s, for_s, .. } = *self;
+            let task = Task {
+                forward_m_s: 0.0,
+                duration_s: AT_S + 2.0 * FOR_S,
+                compliance: Some(compliance),
+                ..base.task.clone()
+            };
+            let (force_n, at_s, for_s, set_point_per_s) = (FORCE_N, AT_S, FOR_S, SET_POINT_PER_S);
             let pull = Leash { force_n, direction_deg, at_s, for_s, set_point_per_s, task };
             (format!("{} m/s/N, {direction_deg:.1}°", brief(compliance)), Scenario::Leash(pull))
         }))
     }
 
     fn check(&self) -> Result<(), ParameterError> {
-        in_range("set_point_per_s", self.set_point_per_s, 0.1, 10.0, "0.1 to 10 per second")?;
-        in_range("force_n", self.force_n, 1.0, 1000.0, "1 to 1000 N")?;
-        in_range("for_s", self.for_s, 0.1, 60.0, "0.1 to 60 s")?;
-        in_range("average_s", self.average_s, 0.1, self.for_s, "0.1 s to set_point.for_s")?;
         check_directions(self.directions)
     }
 
@@ -62,12 +64,12 @@ impl Experiment for SetPoint {
         else {
             return values.into();
         };
-        let [x, y] = pull.force.map(|part| part / self.force_n);
-        let last = metrics::window(trial.trace, pull.until_s - self.average_s, pull.until_s);
+        let [x, y] = pull.force.map(|part| part / FORCE_N);
+        let last = metrics::window(trial.trace, pull.until_s - AVERAGE_S, pull.until_s);
         let moved_m = metrics::mean(last, |frame| frame.position[0] * x + frame.position[1] * y);
-        let stiffness = moved_m.filter(|moved_m| *moved_m != 0.0).map(|moved_m| self.force_n / moved_m);
+        let stiffness = moved_m.filter(|moved_m| *moved_m != 0.0).map(|moved_m| FORCE_N / moved_m);
         values[0] = stiffness;
-        values[1] = stiffness.map(|found| (found * compliance / self.set_point_per_s - 1.0).abs().min(1.0));
+        values[1] = stiffness.map(|found| (found * compliance / SET_POINT_PER_S - 1.0).abs().min(1.0));
         values[2] = trial.trace.frames.last().map(|frame| frame.position[0].hypot(frame.position[1]));
         values.into()
     }

@@ -16,15 +16,16 @@ const QUANTITIES: &[Quantity] = &[
 /// The time over which the peaks are taken \[s\].
 const PEAK_S: f64 = 1.0;
 
+/// The time from one shove to the next \[s\]; the first one and the growth, as changes of velocity \[m/s\].
+const EVERY_S: f64 = 3.0;
+const GROWTH_M_S: [f64; 2] = [0.5, 0.25];
+
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Shove {
     pub directions: u32,
     pub trials: u32,
     pub durations_s: Vec<f64>,
-    pub first_m_s: f64,
-    pub growth_m_s: f64,
-    pub every_s: f64,
     pub shoves: u32,
 }
 
@@ -42,19 +43,17 @@ impl Experiment for Shove {
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let base: PushTrunk = defaults("push")?;
-        let (push_m_s, growth_m_s, every_s) = (self.first_m_s, self.growth_m_s, self.every_s);
         Ok(conditions(pairs(&self.durations_s, &evenly(self.directions)), |(for_s, direction_deg)| {
-            let task = Task { duration_s: base.at_s + 1.0 + every_s * f64::from(self.shoves), ..base.task.clone() };
-            let push = PushTrunk { task, push_m_s, direction_deg, for_s, growth_m_s, every_s, ..base };
+            let task = Task { duration_s: base.at_s + 1.0 + EVERY_S * f64::from(self.shoves), ..base.task.clone() };
+            let [push_m_s, growth_m_s] = GROWTH_M_S;
+            let push = PushTrunk { task, push_m_s, direction_deg, for_s, growth_m_s, every_s: EVERY_S, ..base };
             (format!("{for_s} s, {direction_deg:.1}°"), Scenario::Push(push))
         }))
     }
 
     fn check(&self) -> Result<(), ParameterError> {
         in_range("shoves", f64::from(self.shoves), 1.0, 100.0, "1 to 100")?;
-        in_range("every_s", self.every_s, 1.0, 60.0, "1 to 60 s")?;
-        let shorter =
-            |for_s: f64| in_range("durations_s", for_s, 0.01, 0.5 * self.every_s, "0.01 s to half of shove.every_s");
+        let shorter = |for_s: f64| in_range("durations_s", for_s, 0.01, 0.5 * EVERY_S, "0.01 to 1.5 s");
         self.durations_s.iter().copied().try_for_each(shorter)?;
         check_directions(self.directions)
     }
@@ -66,9 +65,9 @@ impl Experiment for Shove {
         };
         let mass_kg = trial.trace.weight_n / GRAVITY_M_S2;
         let end_s = trial.trace.fall().map_or(f64::INFINITY, |fall| fall.time_s);
-        let taken = pushes.iter().take_while(|push| push.at_s + self.every_s <= end_s);
+        let taken = pushes.iter().take_while(|push| push.at_s + EVERY_S <= end_s);
         let survived = taken.last().map_or(0.0, |push| mass_kg * push.linear[0].hypot(push.linear[1]));
-        let alone = (survived > 0.0).then(|| trial.trace.until(first.at_s + self.every_s));
+        let alone = (survived > 0.0).then(|| trial.trace.until(first.at_s + EVERY_S));
         let peak = |of: fn(&Frame) -> f64| {
             metrics::largest(metrics::window(alone.as_ref()?, first.at_s, first.at_s + PEAK_S), of)
         };

@@ -3,7 +3,6 @@
 use super::prelude::*;
 use super::push;
 use crate::plot::dots::Dots;
-use supple::scenario::catalog::PushTrunk;
 use supple::scenario::trace::Frame;
 
 const QUANTITIES: &[Quantity] = &[
@@ -30,12 +29,13 @@ const PAPER: [(&str, &str); 6] = [
     ("torque_sum_increase_n_m", "0.3 / 0.5"),
 ];
 
+/// The length of the averaging windows before and after the push \[s\].
+const WINDOW_S: f64 = 1.0;
+
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Table4 {
     pub trials: u32,
-    /// The length of the averaging windows before and after the push \[s\].
-    pub window_s: f64,
 }
 
 impl Experiment for Table4 {
@@ -54,16 +54,11 @@ impl Experiment for Table4 {
         push::sideways()
     }
 
-    fn check(&self) -> Result<(), ParameterError> {
-        let until_push_s = defaults::<PushTrunk>("push").map_or(0.0, |push| push.at_s);
-        in_range("window_s", self.window_s, 0.1, until_push_s, "0.1 s to the time before the push")
-    }
-
     fn measure(&self, trial: &Trial) -> TrialValues {
         let Some(push) = trial.script.pushes().next() else { return vec![None; QUANTITIES.len()].into() };
         // The trace of a fallen robot ends with the fall.
-        let window = |from_s: f64| metrics::whole_window(trial.trace, from_s, from_s + self.window_s);
-        let [before, after] = [push.at_s - self.window_s, push.at_s].map(window);
+        let window = |from_s: f64| metrics::whole_window(trial.trace, from_s, from_s + WINDOW_S);
+        let [before, after] = [push.at_s - WINDOW_S, push.at_s].map(window);
         let of = |quantity: fn(&Frame) -> f64| {
             let [before, after] = [before.clone(), after.clone()].map(|frames| metrics::mean(frames?, quantity));
             [before, after, after.zip(before).map(|(after, before)| after - before)]
@@ -86,7 +81,7 @@ impl Experiment for Table4 {
             panel("mechanical power", "W", ["power_before_w", "power_after_w"]),
             panel("torque norm", "N·m", ["torque_before_n_m", "torque_after_n_m"]),
         ];
-        let labels = ["before", "after"].map(|when| format!("{} s {when}", brief(self.window_s)));
+        let labels = ["before", "after"].map(|when| format!("{} s {when}", brief(WINDOW_S)));
         let title = "Mechanical power and torque norm before and after a sideways push of 0.5 m/s";
         section.panels("", title, &panels, &labels, "");
         for (text, paper, quantity) in [

@@ -93,17 +93,6 @@ pub fn claim_rows(report: &Report) -> Rows {
     (columns, rows.map(|(id, claim)| cells(id, claim)).collect())
 }
 
-/// Returns the table of the claims of all experiments.
-pub fn claims(report: &Report) -> String {
-    let (columns, mut rows) = claim_rows(report);
-    let papers = report.sections.iter().flat_map(|section| section.content.claims.iter().map(|_| section.info.paper));
-    for (row, paper) in rows.iter_mut().zip(papers) {
-        row[0] = format!("{} {paper}", row[0]).trim_end().to_owned();
-    }
-    let few = if report.has_too_few_pairs() { format!("{TOO_FEW}\n\n") } else { String::new() };
-    few + &grid((columns, rows))
-}
-
 /// Returns the claims of each experiment: a list with the verdicts, the numbers in narrow tables, and notes.
 fn claims_by_experiment(report: &Report) -> String {
     let (columns, rows) = claim_rows(report);

@@ -197,7 +197,6 @@ impl<'a> Report<'a> {
             write_table(&tables, table, &names)?;
         }
         write(&tables.join("claims.csv"), csv_tables::claims_csv(self).as_bytes())?;
-        write(&tables.join("claims.md"), markdown::claims(self).as_bytes())?;
         write(&out.join("summary.json"), summary::json(self).as_bytes())?;
         write(&out.join("report.html"), html::page(self).as_bytes())?;
         Ok(failed)

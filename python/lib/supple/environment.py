@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, NoReturn
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
@@ -80,7 +81,8 @@ def make(
     curriculum: Curriculum | None = None,
     render_mode: None = None,
 ) -> "LocomotionEnv":
-    """Creates a single environment: the first one of `make_vec`, without stagger and without automatic resets.
+    """Creates a single environment: the first one of `make_vec`, without stagger and without automatic resets. To train, use
+    `make_vec`: several of these each have a curriculum of their own, which advances by their own samples.
 
     Observations are float32, shape (length,), normalised; actions are float32, shape (12,), one for each joint.
     Nothing is drawn, so `render_mode` is None.
@@ -99,6 +101,8 @@ class _Described(Named):
     """Descriptions of observations and actions, and the curriculum."""
 
     _native: _supple.Environments
+    _np_random: np.random.Generator | None
+    _np_random_seed: int | None
 
     def __init__(
         self,
@@ -110,10 +114,12 @@ class _Described(Named):
         stagger: bool,
         autoreset_mode: AutoresetMode,
     ) -> None:
+        seed = secrets.randbits(64) if seed is None else whole("seed", seed)
+        self._np_random, self._np_random_seed = seeding.np_random(seed)
         self._native = _supple.Environments(
             os.fspath(config),
             whole("num_envs", num_envs, 1, 1_000_000),
-            secrets.randbits(64) if seed is None else whole("seed", seed),
+            seed,
             cores(threads),
             stagger,
             AutoresetMode(autoreset_mode).value,
@@ -213,7 +219,8 @@ class LocomotionVectorEnv(_Described, VectorEnv[Observations, NDArray[np.float32
 
         **A fault of the physics is reported as a truncation** with a reward of 0. `info["fault"]` then holds MuJoCo's
         message for each environment that failed, else None; with `SAME_STEP`, the default autoreset mode, it is in
-        `info["final_info"]["fault"]`. The key is missing in a step without faults. Do not bootstrap from such a step.
+        `info["final_info"]["fault"]`. The key is missing in a step without faults. Leave such a step out of what you learn
+        from, or bootstrap: the last observation is the one before it.
 
         `info` also has `reward_terms` (before weights), `stage` (index into `STAGES`), `command` (forward, left [m/s],
         yaw rate [rad/s]; base frame) and `fall`, and with the key `critic_observation` of the configuration the numbers of that
@@ -346,7 +353,7 @@ class LocomotionEnv(_Described, gymnasium.Env[Observations, NDArray[np.float32]]
         and `info`.
 
         **A fault of the physics is reported as a truncation** with a reward of 0; `info["fault"]` then holds MuJoCo's
-        message. The key is missing otherwise: check `"fault" in info` before you bootstrap from a truncated step.
+        message, and the observation is the one before the step. The key is missing otherwise.
         """
         actions = numbers("action", action, (len(self._native.action_names()),))[None]
         seen, critic, rewards, terminations, truncations, terms, stages, commands, ended = self._native.step(actions)

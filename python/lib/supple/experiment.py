@@ -196,14 +196,21 @@ def arrays(columns: Mapping[str, list[Any]]) -> dict[str, NDArray[Any]]:
     return {name: array(cells) for name, cells in columns.items()}
 
 
+def _seed(metrics: str) -> int | None:
+    """Returns the seed in the name of the folder of a file of metrics, if there is one."""
+    seed = os.path.dirname(metrics).rpartition("-seed")[2]
+    return int(seed) if seed.isdecimal() else None
+
+
 def learning_curves(run: Path) -> dict[int, dict[str, NDArray[Any]]]:
     """Returns the metrics of a run, or of all seeds of a set such as "runs/fast", by seed: arrays with one element for each
     iteration, such as "samples", "step_reward", "walking_linear" (r_lin of walking stages), "fall_rate" and "time.elapsed_s".
     NaN where an iteration lacks a number."""
-    path = os.fspath(run)
+    path = os.path.abspath(run)
     files = [os.path.join(path, "metrics.jsonl")]
     if not os.path.exists(files[0]):
-        files = glob.glob(f"{glob.escape(path)}-seed*/metrics.jsonl")
+        # Not of a folder such as `fast-seed0-old`.
+        files = [file for file in glob.glob(f"{glob.escape(path)}-seed*/metrics.jsonl") if _seed(file) is not None]
     if not files:
         raise FileNotFoundError(f"{path}: no metrics.jsonl in it, and none in {path}-seed*")
     curves = {}
@@ -211,9 +218,8 @@ def learning_curves(run: Path) -> dict[int, dict[str, NDArray[Any]]]:
         with open(file, encoding="utf-8") as lines:
             iterations = [flat(json.loads(line)) for line in lines if line.endswith("\n")]
         names = dict.fromkeys(name for iteration in iterations for name in iteration)
-        seed = os.path.dirname(file).rpartition("-seed")[2]
         columns = {name: [iteration.get(name) for iteration in iterations] for name in names}
-        curves[int(seed) if seed.isdecimal() else 0] = arrays(columns)
+        curves[_seed(file) or 0] = arrays(columns)
     return dict(sorted(curves.items()))
 
 

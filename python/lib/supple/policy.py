@@ -37,7 +37,7 @@ class Policy(Named):
         """Returns actions, float32 (n, 12), for normalised observations (n, length), or one action (12,) for one (length,).
 
         Joint target = `action_offset` + `action_scale` * action [rad], in the order of `action_names`. An external policy
-        may have other observations and actions than the environments: compare names, offsets and scales first.
+        may have other observations and actions than the environments: the program `policy show` prints them.
         """
         seen = numbers(f"observations for {self.name}", observations, (self._length,), (None, self._length))
         actions = self._native.act(np.atleast_2d(seen))
@@ -88,13 +88,15 @@ def resolve(
 
 
 def _of_network(policy: Function) -> Function:
-    """Wraps a PyTorch module, which takes tensors with a batch dimension; returns any other function unchanged."""
+    """Wraps a PyTorch module, which takes tensors with a batch dimension, on its device; returns any other function unchanged."""
     torch: Any = sys.modules.get("torch")
     if torch is None or not isinstance(policy, torch.nn.Module):
         return policy
+    weight = next(policy.parameters(), None)
 
     def act(observation: NDArray[np.float32]) -> Any:
+        seen = torch.from_numpy(observation)[None]
         with torch.no_grad():
-            return policy(torch.from_numpy(observation)[None]).cpu().numpy()
+            return policy(seen if weight is None else seen.to(weight)).float().cpu().numpy()
 
     return act

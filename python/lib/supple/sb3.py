@@ -21,7 +21,7 @@ Indices = None | int | Iterable[int]
 class SB3VecEnv(VecEnv):  # type: ignore[misc]
     """A `LocomotionVectorEnv` with the interface of Stable-Baselines3's `VecEnv`.
 
-    `env` is the wrapped environment and `info` the Gymnasium info of its last step; the infos that `step` returns, one for
+    `env` is the wrapped environment and `info` the Gymnasium info of its last step or reset; the infos that `step` returns, one for
     each environment, only have the keys of a finished episode. A fault of the physics is in `info["final_info"]["fault"]`.
     """
 
@@ -38,8 +38,8 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc]
         seed, options = self._seeds[0], self._options[0]
         self._reset_seeds()
         self._reset_options()
-        observations, info = self.env.reset(seed=seed, options=options)
-        self.reset_infos = [{"command": command} for command in info["command"]]
+        observations, self.info = self.env.reset(seed=seed, options=options)
+        self.reset_infos = [{"command": command} for command in self.info["command"]]
         return observations
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:

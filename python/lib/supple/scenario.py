@@ -67,7 +67,7 @@ def run_scenario(
     """
     if record is not None and not _supple.RECORDS:
         raise RuntimeError(
-            "this wheel was built without recordings: pip install ./python -C build-args=--features=record"
+            "this wheel was built without recordings: pip install ./python --config-settings build-args=--features=record"
         )
     metrics, trace, events, note = _supple.run_scenario(
         name,

@@ -84,13 +84,13 @@ pub fn translate(source: &Path, onnx: &str, robot: Option<&str>) -> Result<Strin
     let title = format!("{onnx} as {file} describes it, by `policy describe`. Check the marked lines.");
     let model = robot.unwrap_or(ROBOT).to_owned();
     let robot = &RobotModel { model, friction_loss_n_m: 0.0, damping_n_m_s_per_rad: 0.0 };
-    Ok(PolicyDescription { title, onnx, robot, found }.to_string())
+    Ok(PolicyDescription { title, onnx, robot, compliance: None, found }.to_string())
 }
 
 fn text(
     title: String,
     onnx: &str,
-    Config { robot, simulation, .. }: &Config,
+    Config { robot, simulation, reward, .. }: &Config,
     nominal_pose: &Joints,
     observation: impl Iterator<Item = Observed>,
     (meaning, scale_rad): (Meaning, f64),
@@ -100,7 +100,7 @@ fn text(
     let found = Found { joints, nominal_pose, simulation, observation, history: vec![0], meaning, scale_rad, notes };
     // A line end would let a part of the title out of the comment.
     let title = title.replace(char::is_control, " ");
-    PolicyDescription { title, onnx, robot, found }.to_string()
+    PolicyDescription { title, onnx, robot, compliance: reward.reference_m_s_per_n, found }.to_string()
 }
 
 #[cfg(test)]
@@ -108,10 +108,22 @@ mod tests {
     use super::*;
     use crate::network::ActorCritic;
     use crate::observation::Command;
+    use crate::policy::external::spec::Spec;
     use crate::policy::file::tests::untrained;
     use crate::policy::{Agent, Controller as _, onnx};
     use crate::robot::{JOINTS, RobotState};
     use crate::util::random::{Purpose, stream};
+
+    #[test]
+    fn commanded_networks_keep_the_range_of_their_training() {
+        let config = Config::load("configs/reference.yaml").unwrap();
+        let text = describe_network("reference", &config, "p.onnx");
+        let described = Spec::parse(Path::new("p.yaml"), &text).unwrap();
+        assert_eq!(
+            (config.reward.reference_m_s_per_n, described.config.reward.reference_m_s_per_n),
+            (Some([0.01, 0.1]), Some([0.01, 0.1]))
+        );
+    }
 
     #[test]
     fn exported_policies_act_and_remember_as_they_did() {

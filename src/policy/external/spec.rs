@@ -37,6 +37,8 @@ struct RawSpec {
     observation: Vec<Observed>,
     history: Option<Vec<u32>>,
     observation_clip: Option<f64>,
+    /// The range of compliances that the network was trained to be commanded, if it observes them \[m/s/N\].
+    compliance_m_s_per_n: Option<[f64; 2]>,
     action: RawAction,
 }
 
@@ -89,6 +91,7 @@ impl Spec {
         let mut config = Config::load("compliant")?;
         config.simulation = raw.simulation.clone();
         config.robot = raw.robot.clone().unwrap_or(config.robot);
+        config.reward.reference_m_s_per_n = raw.compliance_m_s_per_n;
         config.check().map_err(|error| ConfigError::Value { name, error })?;
         Ok(Self::new(raw, config, path.parent().unwrap_or(Path::new(""))).map_err(FileError::of(POLICY, path))?)
     }

@@ -13,6 +13,8 @@ pub(super) struct PolicyDescription<'a> {
     /// Path of the ONNX file, relative to the YAML file.
     pub(super) onnx: &'a str,
     pub(super) robot: &'a RobotModel,
+    /// The range of compliances that the network was trained to be commanded \[m/s/N\].
+    pub(super) compliance: Option<[f64; 2]>,
     pub(super) found: Found,
 }
 
@@ -46,6 +48,9 @@ impl Display for PolicyDescription<'_> {
         }
         if *history != [0] {
             writeln!(out, "history: {history:?}")?;
+        }
+        if let Some(range) = self.compliance {
+            writeln!(out, "compliance_m_s_per_n: {range:?}")?;
         }
         writeln!(out, "action:\n  meaning: {}{}", json(meaning).trim_matches('"'), self.note("meaning"))?;
         writeln!(out, "  scale_rad: {}", json(scale_rad))

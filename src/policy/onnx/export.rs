@@ -63,7 +63,8 @@ pub fn export(policy: &Policy) -> Vec<u8> {
         ir_version: IR_VERSION,
         producer_name: "supple".into(),
         producer_version: env!("CARGO_PKG_VERSION").into(),
-        doc_string: "locomotion policy: raw observation to joint targets".into(),
+        doc_string: "raw observation to joint targets: scales by itself, unlike the network in the metadata's `usage`"
+            .into(),
         graph: Some(graph),
         opset_import: vec![OperatorSet { domain: String::new(), version: OPSET }],
         metadata_props: vec![Property { key: "supple".into(), value: policy.metadata_json() }],

@@ -3,7 +3,7 @@
 mod args;
 mod progress;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::ExitCode;
 
 use anyhow::Context;
@@ -16,7 +16,7 @@ use supple::util::terminal::{self, shell_word};
 use supple_evaluate::exam::{Exam, Part, page};
 use supple_evaluate::learning_curves::{self, LearningSet};
 use supple_evaluate::measurement_store::MeasurementStore;
-use supple_evaluate::policy_sets::PolicySets;
+use supple_evaluate::policy_sets::{PolicySet, PolicySets};
 use supple_evaluate::protocol::Protocol;
 use supple_evaluate::report::{self, CommandLine, Report, text};
 use supple_evaluate::runner::{self, Settings};
@@ -43,16 +43,17 @@ fn run(args: &Args) -> anyhow::Result<()> {
         return draw_curves(args);
     }
     let (name, protocol) = protocol(args)?;
-    let policies = policies(args, &args.also)?;
-    // E12 is about the two sets that are compared.
-    let compared = self::policies(args, &[])?;
+    let policies = policies(args)?;
+    if let (Sensing::Estimated, Some(rates)) = (args.sensing, PolicySet::cannot_sense(&policies.sets[..2])) {
+        anyhow::bail!("--sensing estimated: {rates}");
+    }
     let command = CommandLine { experiments: args.experiments.clone(), options: args.options() };
     let curves = learning_curves::figures(&learning_curves::of_policies(&policies)?);
     let mut report = Report { curves, ..Report::new(&policies, name, command) };
     let on_sensors = report.sensing.notes.iter().filter(|_| args.sensing == Sensing::Estimated);
     policies.notes.iter().chain(on_sensors).for_each(|note| terminal::note(format_args!("note: {note}")));
     prepare(args)?;
-    let study = Study::new(&protocol, &policies, &compared, &args.out, args.again);
+    let study = Study::new(&protocol, &policies.sets, &args.out, args.again);
     study.measure(&args.experiments, args.sensing, progress::run)?;
     let _lock = MeasurementStore::new(&args.out).lock_report(progress::waits)?;
     let faults = study.add_to(&mut report)?;
@@ -101,16 +102,17 @@ fn examine(policy: &Path, args: &Args) -> anyhow::Result<()> {
         jobs.extend(runner::jobs(experiment, policies, settings, way)?);
     }
     progress::run(&jobs)?;
-    let examination = exam.grade(&store)?;
-    let film = exam.first_fall(&store).unwrap_or_else(|error| {
-        terminal::note(format_args!("note: no film of a fall: {error}"));
-        None
-    });
     let mut options = vec!["--exam".to_owned(), shell_word(policy)];
     options.extend(args.protocol.iter().flat_map(|file| ["--protocol".to_owned(), shell_word(file)]));
     options.extend(["--out".to_owned(), shell_word(&args.out)]);
     let command = CommandLine { experiments: Vec::new(), options };
-    page::save(&examination, film.as_ref(), &command.text(None), &args.out)?;
+    let _lock = store.lock_report(progress::waits)?;
+    let examination = exam.grade(&store, command.text(None))?;
+    let film = exam.first_fall(&store).unwrap_or_else(|error| {
+        terminal::note(format_args!("note: no film of a fall: {error}"));
+        None
+    });
+    page::save(&examination, film.as_ref(), &args.out)?;
     let scores = page::text(&examination, columns(std::io::stdout()));
     terminal::print(format_args!("{scores}\n{}\n", args.out.join("exam.html").display()))?;
     anyhow::ensure!(examination.faults.is_empty(), "{}", examination.faults.join("\n"));
@@ -127,7 +129,7 @@ fn protocol(args: &Args) -> anyhow::Result<(String, Protocol)> {
 }
 
 /// Reads the two sets that are compared, and further ones.
-fn policies(args: &Args, also: &[(String, PathBuf)]) -> anyhow::Result<PolicySets> {
+fn policies(args: &Args) -> anyhow::Result<PolicySets> {
     let names = args.names();
     let [first, second] = &names[..] else { anyhow::bail!("--names gives {} names, expected two: A,B", names.len()) };
     let are_names = first != second && !first.is_empty() && !second.is_empty();
@@ -148,9 +150,9 @@ fn policies(args: &Args, also: &[(String, PathBuf)]) -> anyhow::Result<PolicySet
     let mut policies = match (&args.a, &args.b) {
         (Some(a), Some(b)) => {
             let pair = [(first.clone(), a.clone()), (second.clone(), b.clone())];
-            PolicySets::from_paths(&[&pair[..], also].concat())?
+            PolicySets::from_paths(&[&pair[..], &args.also].concat())?
         }
-        _ => PolicySets::from_folder(args.folder().as_deref(), &names, also)?,
+        _ => PolicySets::from_folder(args.folder().as_deref(), &names, &args.also)?,
     };
     if let Some(joints) = args.joints {
         policies.set_losses(joints.into());
