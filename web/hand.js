@@ -83,6 +83,7 @@ export function listenToHand(picture, on) {
   };
   canvas.addEventListener("pointerup", end);
   canvas.addEventListener("pointercancel", end);
+  canvas.addEventListener("lostpointercapture", end);
   const onWheel = (event) => {
     event.preventDefault();
     zoom(Math.exp(event.deltaY / 800));

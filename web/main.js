@@ -22,6 +22,8 @@ const [MOST, KEY_M_S] = [{ "m/s": 1, N: 60 }, 0.5];
 const [SLOW, FEW_HZ] = [0.97, 50];
 
 const $ = (id) => document.getElementById(id);
+/** Gives the keys back to the robots, unless a list was changed by keys. */
+const leave = (list) => list.matches(":focus-visible") || list.blur();
 const worker = new Worker("physics.js", { type: "module" });
 let [robots, picture] = [[], null];
 let wanted = null; // The robots that are on their way.
@@ -61,7 +63,7 @@ $("reset").onclick = () => send("reset");
 $("pause").onclick = pause;
 $("speed").onchange = () => {
   speed = Number($("speed").value);
-  $("speed").blur();
+  leave($("speed"));
   clock();
 };
 
@@ -83,8 +85,8 @@ function start(chosen) {
   wanted = chosen;
   if (robots.length) hint("Loading …");
   $("story").textContent = PAIRS[$("pair").value][0];
-  $("pair").blur();
-  $("scene").blur();
+  leave($("pair"));
+  leave($("scene"));
   send("start", { robots: chosen.map(({ name, compliance }) => ({ name, compliance })), scene: $("scene").value || "flat" });
 }
 

@@ -98,4 +98,5 @@ export function drag(svg, { start, move, end }) {
   };
   svg.addEventListener("pointerup", finish);
   svg.addEventListener("pointercancel", finish);
+  svg.addEventListener("lostpointercapture", finish);
 }

@@ -10,6 +10,8 @@ import { show as showCompliance } from "./compliance.js";
 const LIFE_MS = 60;
 
 const $ = (id) => document.getElementById(id);
+/** Gives the keys back to the robots, unless a list was changed by keys. */
+const leave = (list) => list.matches(":focus-visible") || list.blur();
 const most = { "m/s": 1, "N·s": 1, N: 1 };
 let me = null;
 let state = null;
@@ -109,11 +111,11 @@ $("pause").onclick = pause;
 $("next").onclick = () => send({ seed: null });
 $("speed").onchange = () => {
   send({ speed: Number($("speed").value) });
-  $("speed").blur();
+  leave($("speed"));
 };
 $("scene").onchange = () => {
   send({ scene: $("scene").value });
-  $("scene").blur();
+  leave($("scene"));
 };
 $("minute").onclick = () => send({ keep: "minute" });
 $("all").onclick = () => send({ keep: "all" });

@@ -8,7 +8,7 @@ use numpy::{
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use supple::config::Config;
-use supple::policy::{Agent, AgentError, Inference, InferenceBuffers, Meaning, Network, external, shipped};
+use supple::policy::{Agent, Inference, InferenceBuffers, Meaning, Network, external, shipped};
 use supple::robot::{JOINTS, joint_name, joint_names};
 
 use crate::failure::{apart, refused};
@@ -56,8 +56,9 @@ impl Policy {
         py: Python<'py>,
         observations: PyReadonlyArray2<'py, f32>,
     ) -> PyResult<Bound<'py, PyArray2<f32>>> {
-        if self.agent.commanded_compliance.is_some() {
-            return Err(refused(AgentError::Commanded(self.name.clone())));
+        if self.agent.commanded_compliance.is_some() && self.agent.config.reward.reference_m_s_per_n.is_none() {
+            let words = "commands a compliance, which acts around the network, in scenarios: give the name without '@'";
+            return Err(PyValueError::new_err(format!("{} {words}", self.name)));
         }
         let (inference, rows) = (self.agent.inference(), observations.shape()[0]);
         let seen = observations.as_slice()?.to_vec();

@@ -232,7 +232,7 @@ def test_what_there_is_not_is_refused_with_what_there_is():
         supple.run_scenario("walk", sensing="maybe")
     with pytest.raises(TypeError, match="expected a Policy, the name of one, or a function"):
         supple.run_scenario("walk", 3)  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="compliant@0.02 commands a compliance, but no policy is played here"):
+    with pytest.raises(ValueError, match="compliant@0.02 commands a compliance, which acts around the network"):
         supple.Policy.load("compliant@0.02")(np.zeros(83))
     policy = supple.Policy.load("compliant")
     for observations, words in [

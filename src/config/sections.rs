@@ -73,24 +73,15 @@ pub struct Simulation {
 }
 
 impl Simulation {
-    /// Returns the number of physics steps in a policy step.
-    pub fn substeps(&self) -> usize {
-        (self.physics_rate_hz / self.policy_rate_hz) as usize
-    }
-
-    /// Returns the duration of a physics step \[s\].
-    pub fn timestep_s(&self) -> f64 {
-        1.0 / f64::from(self.physics_rate_hz)
-    }
-
-    /// Returns the duration of a policy step \[s\].
-    pub fn policy_period_s(&self) -> f64 {
-        1.0 / f64::from(self.policy_rate_hz)
-    }
-
-    /// Returns the number of policy steps in a duration \[s\], rounded.
-    pub fn policy_steps(&self, duration_s: f64) -> usize {
-        (duration_s * f64::from(self.policy_rate_hz)).round() as usize
+    methods! {
+        /// Returns the number of physics steps in a policy step.
+        fn substeps(&self) -> usize = (self.physics_rate_hz / self.policy_rate_hz) as usize;
+        /// Returns the duration of a physics step \[s\].
+        fn timestep_s(&self) -> f64 = 1.0 / f64::from(self.physics_rate_hz);
+        /// Returns the duration of a policy step \[s\].
+        fn policy_period_s(&self) -> f64 = 1.0 / f64::from(self.policy_rate_hz);
+        /// Returns the number of policy steps in a duration \[s\], rounded.
+        fn policy_steps(&self, duration_s: f64) -> usize = (duration_s * f64::from(self.policy_rate_hz)).round() as usize;
     }
 }
 

@@ -48,14 +48,11 @@ impl Layer {
         layer
     }
 
-    /// Returns the number of inputs.
-    pub fn inputs(&self) -> usize {
-        self.weight.len() / self.bias.len()
-    }
-
-    /// Returns the number of outputs.
-    pub fn outputs(&self) -> usize {
-        self.bias.len()
+    methods! {
+        /// Returns the number of inputs.
+        fn inputs(&self) -> usize = self.weight.len() / self.bias.len();
+        /// Returns the number of outputs.
+        fn outputs(&self) -> usize = self.bias.len();
     }
 }
 
@@ -74,14 +71,11 @@ impl Mlp {
         Mlp { layers: widths.windows(2).enumerate().map(layer).collect() }
     }
 
-    /// Returns the number of inputs.
-    pub fn inputs(&self) -> usize {
-        self.layers.first().map_or(0, Layer::inputs)
-    }
-
-    /// Returns the number of outputs.
-    pub fn outputs(&self) -> usize {
-        self.layers.last().map_or(0, Layer::outputs)
+    methods! {
+        /// Returns the number of inputs.
+        fn inputs(&self) -> usize = self.layers.first().map_or(0, Layer::inputs);
+        /// Returns the number of outputs.
+        fn outputs(&self) -> usize = self.layers.last().map_or(0, Layer::outputs);
     }
 
     /// Returns names, shapes and values in order: `0.weight`, `0.bias`, …, each name after `prefix`.

@@ -92,8 +92,9 @@ pub fn split_compliance(name: &str) -> (&str, Option<f64>) {
 /// it was given.
 pub fn policy_label(asked: &str) -> String {
     let (file, _) = split_compliance(asked);
-    // A folder's dots are no extension, as in `runs/rate-0.001-seed0`.
-    let stem = if Path::new(file).is_dir() { Path::file_name } else { Path::file_stem }(Path::new(file));
+    // Other dots are no extension, as in the run `runs/rate-0.001-seed0`.
+    let is_file = [".safetensors", ".yaml", ".yml", ".onnx"].iter().any(|end| file.ends_with(end));
+    let stem = if is_file { Path::file_stem } else { Path::file_name }(Path::new(file));
     stem.map_or_else(|| file.into(), OsStr::to_string_lossy).into_owned() + &asked[file.len()..]
 }
 
@@ -281,7 +282,7 @@ mod tests {
             ("policies/baseline-seed0.safetensors", "baseline-seed0"),
             ("baseline@0.03", "baseline@0.03"),
             ("policies/mine.yaml@0.03", "mine@0.03"),
-            ("tests/../src", "src"),
+            ("runs/fast-reward.energy=-0.01", "fast-reward.energy=-0.01"),
         ] {
             assert_eq!(policy_label(asked), label);
         }

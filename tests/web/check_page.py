@@ -123,8 +123,8 @@ def check_hands(page, pictures):
     page.wait(f"state.robots.every(({{ reading }}) => {pulled})")
     page.wait("state.robots[0].reading.pull.gives_m_s > state.robots[1].reading.pull.gives_m_s + 0.1")
     keep(page, pictures, "during")
-    # The mouse comes back with no button pressed: it was released in another tab.
-    x, y = drag[-1][1]
+    # The mouse comes back, elsewhere, with no button pressed: it was released in another tab.
+    x, y = page.value("(({ left, top }) => [left + 5, top + 5])(document.querySelector('#numbers').getBoundingClientRect())")
     page.call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y, button="none", buttons=0)
     page.wait("state.robots.every(({ reading }) => reading.pull === null)")
     page.value("document.querySelector('#reset').click()")
@@ -139,7 +139,9 @@ def check_hands(page, pictures):
     page.wait("state.robots.every(({ reading }) => reading.command[0] > 0.5 && reading.velocity[0] > 0.3)")
     page.key("KeyW", False)
     # While paused, a reset is seen.
-    page.value("(() => { for (const id of ['pause', 'reset']) document.getElementById(id).click(); state.poses = null; })()")
+    page.value("document.querySelector('#pause').click()")
+    time.sleep(0.5)  # What was on its way has arrived.
+    page.value("(() => { state.poses = null; document.querySelector('#reset').click(); })()")
     page.wait("state.poses")
     page.value("document.querySelector('#pause').click()")
     for scene in ["ball pit", "blocks"]:

@@ -108,22 +108,10 @@ mod tests {
     use super::*;
     use crate::network::ActorCritic;
     use crate::observation::Command;
-    use crate::policy::external::spec::Spec;
     use crate::policy::file::tests::untrained;
     use crate::policy::{Agent, Controller as _, onnx};
     use crate::robot::{JOINTS, RobotState};
     use crate::util::random::{Purpose, stream};
-
-    #[test]
-    fn commanded_networks_keep_the_range_of_their_training() {
-        let config = Config::load("configs/reference.yaml").unwrap();
-        let text = describe_network("reference", &config, "p.onnx");
-        let described = Spec::parse(Path::new("p.yaml"), &text).unwrap();
-        assert_eq!(
-            (config.reward.reference_m_s_per_n, described.config.reward.reference_m_s_per_n),
-            (Some([0.01, 0.1]), Some([0.01, 0.1]))
-        );
-    }
 
     #[test]
     fn exported_policies_act_and_remember_as_they_did() {

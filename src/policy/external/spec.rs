@@ -7,7 +7,7 @@ use serde::Deserialize;
 
 use super::POLICY;
 use crate::config::{Config, ConfigError, RobotModel, Simulation};
-use crate::observation::{Layout, LayoutError, NominalValues, Numbers, Observed, limit, numbers};
+use crate::observation::{Layout, LayoutError, NominalValues, Numbers, Observed, Quantity, limit, numbers};
 use crate::policy::AgentError;
 use crate::policy::inference::{JointPositionAction, Meaning};
 use crate::policy::onnx::OnnxNetwork;
@@ -58,6 +58,10 @@ pub(super) struct Spec {
 pub(super) enum SpecFault {
     #[error(transparent)]
     Observation(#[from] LayoutError),
+    #[error(
+        "compliance_m_s_per_n is {0:?}, expected the range trained if a commanded compliance is observed, else none"
+    )]
+    Compliance(Option<[f64; 2]>),
     #[error("nominal_pose_rad has {0} angles, expected {JOINTS}, in the order of `joints`")]
     Angles(usize),
     #[error("nominal_pose_rad is {0:?}, expected finite angles")]
@@ -91,13 +95,18 @@ impl Spec {
         let mut config = Config::load("compliant")?;
         config.simulation = raw.simulation.clone();
         config.robot = raw.robot.clone().unwrap_or(config.robot);
-        config.reward.reference_m_s_per_n = raw.compliance_m_s_per_n;
         config.check().map_err(|error| ConfigError::Value { name, error })?;
         Ok(Self::new(raw, config, path.parent().unwrap_or(Path::new(""))).map_err(FileError::of(POLICY, path))?)
     }
 
     /// Checks a description in a folder, in which its robot may lie.
-    fn new(raw: RawSpec, config: Config, folder: &Path) -> Result<Self, SpecFault> {
+    fn new(raw: RawSpec, mut config: Config, folder: &Path) -> Result<Self, SpecFault> {
+        let commanded = [Quantity::CommandedCompliance, Quantity::CommandedYield];
+        let observes = raw.observation.iter().any(|observed| commanded.contains(&observed.quantity));
+        let range = raw.compliance_m_s_per_n;
+        let fits = range.map_or(!observes, |[low, high]| observes && 0.0 < low && low <= high && high <= 100.0);
+        ensure!(fits, SpecFault::Compliance(range));
+        config.reward.reference_m_s_per_n = range;
         let order = joint_order(&raw.joints, &config.robot, folder)?;
         let pose: Joints = raw.nominal_pose_rad.try_into().map_err(|pose: Vec<f64>| SpecFault::Angles(pose.len()))?;
         ensure!(pose.iter().all(|angle| angle.is_finite()), SpecFault::PoseNotFinite(pose));
@@ -218,6 +227,19 @@ mod tests {
         let JointPositionAction { nominal_pose, meaning, scale_rad, clip } = spec.action;
         assert_eq!((nominal_pose[..3].to_vec(), meaning), (vec![0.0, 0.72, -1.44], Meaning::OffsetFromNominal));
         assert_eq!((scale_rad, clip), ([0.25; JOINTS], f64::INFINITY));
+    }
+
+    #[test]
+    fn a_commanded_network_states_the_range_that_was_trained() {
+        let text = describe_network("mine", &Config::load("configs/reference.yaml").unwrap(), "net.onnx");
+        let parse = |text: &str| Spec::parse(Path::new("p.yaml"), text);
+        assert_eq!(parse(&text).unwrap().config.reward.reference_m_s_per_n, Some([0.01, 0.1]));
+        let unobserved = format!("{EXAMPLE}\ncompliance_m_s_per_n: [0.01, 0.1]\n");
+        let [reversed, missing] = ["[0.1, 0.01]", "null"].map(|range| text.replace("[0.01, 0.1]", range));
+        for text in [unobserved, reversed, missing] {
+            let error = parse(&text).unwrap_err().to_string();
+            assert!(error.contains("compliance_m_s_per_n is "), "{error}");
+        }
     }
 
     #[test]

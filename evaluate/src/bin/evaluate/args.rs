@@ -89,7 +89,7 @@ impl Args {
     pub fn names(&self) -> Vec<String> {
         match (&self.a, &self.b) {
             _ if !self.names.is_empty() => self.names.clone(),
-            (Some(a), Some(b)) => [a, b].map(|path| label(path).chars().take(MOST_NAME).collect()).into(),
+            (Some(a), Some(b)) => [a, b].map(|path| label(path, MOST_NAME)).into(),
             _ => ["compliant", "baseline"].map(ToOwned::to_owned).into(),
         }
     }
@@ -115,9 +115,9 @@ impl Args {
     }
 }
 
-/// Returns the name of a policy or a set in figures: its file name with its compliance, without control characters.
-pub fn label(path: &Path) -> String {
-    policy_label(&path.display().to_string()).chars().filter(|c| !c.is_control()).collect()
+/// Returns the name of a policy or a set: its file name with its compliance, at most `most` characters, none to control.
+pub fn label(path: &Path, most: usize) -> String {
+    policy_label(&path.display().to_string()).chars().filter(|c| !c.is_control()).take(most).collect()
 }
 
 /// Parses `NAME=PATH`.

@@ -79,7 +79,11 @@ fn prepare(args: &Args) -> anyhow::Result<()> {
 
 /// Draws the learning curves of runs.
 fn draw_curves(args: &Args) -> anyhow::Result<()> {
-    let sets = args.curves.iter().map(|path| LearningSet::read(&label(path), path)).collect::<Result<Vec<_>, _>>()?;
+    let sets = args
+        .curves
+        .iter()
+        .map(|path| LearningSet::read(&label(path, MOST_NAME), path))
+        .collect::<Result<Vec<_>, _>>()?;
     std::fs::create_dir_all(&args.out).with_context(|| format!("cannot create the folder {}", args.out.display()))?;
     for figure in learning_curves::figures(&sets) {
         report::write_figure(&figure, &args.out)?;
@@ -90,7 +94,7 @@ fn draw_curves(args: &Args) -> anyhow::Result<()> {
 
 /// Examines one policy beside the shipped references.
 fn examine(policy: &Path, args: &Args) -> anyhow::Result<()> {
-    let exam = Exam::new(&label(policy), policy, Protocol::exam(args.protocol.as_deref())?)?;
+    let exam = Exam::new(&label(policy, usize::MAX), policy, Protocol::exam(args.protocol.as_deref())?)?;
     exam.notes.iter().for_each(|note| terminal::note(format_args!("note: {note}")));
     prepare(args)?;
     let store = MeasurementStore::new(&args.out);
