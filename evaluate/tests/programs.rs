@@ -551,7 +551,7 @@ fn set_with_commanded_compliance_is_measured_apart() {
     for (path, expected) in [
         ("policies/compliant@0.06", "policies/compliant-seed0.safetensors: compliance 0.06 m/s/N is out of range"),
         ("policies/baseline@0.03", "policies/baseline-seed0.safetensors: its compliance has not been measured"),
-        ("policies/nobody@0.03", "there is no policy 'policies/nobody'"),
+        ("policies/absent@0.03", "there is no policy 'policies/absent'"),
     ] {
         for sets in [&["--also", &format!("soft={path}")][..], &["--a", path, "--b", "policies/baseline"]] {
             place.refuses(&[&["leash", "--out", "x"], sets].concat(), expected);

@@ -200,8 +200,8 @@ def test_experiments_have_the_numbers_that_the_program_keeps(programs, tmp_path)
 
 
 def test_what_there_is_not_is_refused_with_what_there_is():
-    with pytest.raises(ValueError, match="there is no policy 'nobody'.*compliant-seed0"):
-        supple.Policy.load("nobody")
+    with pytest.raises(ValueError, match="there is no policy 'absent'.*compliant-seed0"):
+        supple.Policy.load("absent")
     with pytest.raises(ValueError, match="no such scenario; there are: walk, push"):
         supple.run_scenario("nothing")
     with pytest.raises(ValueError, match="no parameter 'push'; it has: .*push_m_s"):

@@ -115,7 +115,7 @@ impl Args {
     }
 }
 
-/// Returns the name of a policy or a set: its file name with its compliance, at most `most` characters, none to control.
+/// Returns the name of a policy or a set: its file name and compliance, up to `most` characters, without control characters.
 pub fn label(path: &Path, most: usize) -> String {
     policy_label(&path.display().to_string()).chars().filter(|c| !c.is_control()).take(most).collect()
 }

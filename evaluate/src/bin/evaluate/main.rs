@@ -45,7 +45,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
     let (name, protocol) = protocol(args)?;
     let policies = policies(args)?;
     if let (Sensing::Estimated, Some(rates)) = (args.sensing, PolicySet::cannot_sense(&policies.sets[..2])) {
-        anyhow::bail!("--sensing estimated: {rates}");
+        anyhow::bail!("--sensing estimated cannot be played: {rates}; leave it out");
     }
     let command = CommandLine { experiments: args.experiments.clone(), options: args.options() };
     let curves = learning_curves::figures(&learning_curves::of_policies(&policies)?);
